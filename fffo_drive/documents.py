@@ -277,8 +277,8 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
             return f"{text}: write {value.replace(',', '.')}, with a decimal point (got {_shown(value)})"
     else:
         text = NEEDED.get(kind, "a value of another kind is needed").format(**context)
-    told = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)
-    return text if told else f"{text} (got {_shown(value)})"
+    self_explanatory = kind in ("extra_forbidden", "missing") or isinstance(value, dict | list)
+    return text if self_explanatory else f"{text} (got {_shown(value)})"
 
 
 def key_of(error: ErrorDetails, data: Any) -> str:

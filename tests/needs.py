@@ -73,7 +73,7 @@ missing = functools.cache(lambda name: NEEDS[name]())
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What is required by name must be here, whatever is collected: told once, and not by workers that end."""
+    """What is required by name must be here, whatever is collected: reported once, and not by workers that end."""
     required = set(filter(None, os.environ.get("FFFO_REQUIRE", "").split(",")))
     if unknown := sorted(required - {*NEEDS, "all"}):
         raise pytest.UsageError(f"FFFO_REQUIRE: {unknown[0]} is none of {', '.join(NEEDS)}, all")

@@ -62,13 +62,13 @@ class Link:
     are non-blocking, and the same descriptor on AF_CAN.
     """
 
-    def __init__(self, spec: str, rx: socket.socket, tx: socket.socket, own_port: int | None, hears_itself: bool):
+    def __init__(self, spec: str, rx: socket.socket, tx: socket.socket, own_port: int | None, receive_own: bool):
         self.spec = spec
         self.rx_fd = rx.fileno()
         self.tx_fd = tx.fileno()
         self._rx, self._tx = rx, tx
         self._own_port = own_port  # None on AF_CAN
-        self._hears_itself = hears_itself
+        self._receive_own = receive_own
         self._filtered = False
         self._stamped = False
         self._sending = threading.Lock()
@@ -84,7 +84,7 @@ class Link:
     def set_filters(self, filters: Sequence[CanFilter] | None) -> None:
         """Frames that the kernel hands over from now on; None for all. See `CanFilter`."""
         chosen = filters or ()
-        own = None if self._hears_itself else self._own_port
+        own = None if self._receive_own else self._own_port
         offset = bpf.UDP_HEADER if self.is_loopback else 0
         try:
             bpf.attach(self._rx, bpf.program(chosen, frame_offset=offset, own_port=own))
@@ -164,7 +164,7 @@ class Link:
             return -1
         drops = self._kernel_drops() - self._drops_before
         # only now: a frame that is sent in between may be known and not yet dropped, never the other way round
-        if self.is_loopback and not self._hears_itself:
+        if self.is_loopback and not self._receive_own:
             drops -= self._sent + (sent_elsewhere() if sent_elsewhere else 0)
         drops &= _COUNTER_MASK  # the kernel's counter has 32 bits
         if drops <= _COUNTER_MASK // 2:
@@ -219,7 +219,7 @@ def free_loopback_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _open_loopback(spec: str, where: str, hears_itself: bool) -> Link:
+def _open_loopback(spec: str, where: str, receive_own: bool) -> Link:
     if not where.isdecimal() or not 1024 <= int(where) <= 65535:
         raise LinkError(f"bus {spec!r}: the port of a loopback bus is a number from 1024 to 65535")
     port = int(where)
@@ -233,10 +233,10 @@ def _open_loopback(spec: str, where: str, hears_itself: bool) -> Link:
         rx.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         _enlarge_queue(rx)
         # the filter comes before the address: no frame may slip in between
-        own = None if hears_itself else own_port
+        own = None if receive_own else own_port
         bpf.attach(rx, bpf.program((), frame_offset=bpf.UDP_HEADER, own_port=own))
         rx.bind((BROADCAST, port))
-        return Link(spec, rx, tx, own_port, hears_itself)
+        return Link(spec, rx, tx, own_port, receive_own)
     except OSError as error:
         rx.close()
         tx.close()
@@ -247,7 +247,7 @@ def _open_loopback(spec: str, where: str, hears_itself: bool) -> Link:
         raise LinkError(f"bus {spec!r}: cannot open UDP broadcast on {BROADCAST}: {error.strerror}") from error
 
 
-def _open_socketcan(spec: str, interface: str, hears_itself: bool) -> Link:
+def _open_socketcan(spec: str, interface: str, receive_own: bool) -> Link:
     if len(interface) > 15:
         raise LinkError(f"bus {spec!r}: an interface name has at most 15 characters")
     try:
@@ -261,12 +261,12 @@ def _open_socketcan(spec: str, interface: str, hears_itself: bool) -> Link:
         ) from error
     try:
         sock.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
-        sock.setsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, int(hears_itself))
+        sock.setsockopt(_SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, int(receive_own))
         # the smallest send queue: commands that cannot go out now must not go out later
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
         _enlarge_queue(sock)
         sock.bind((interface,))
-        return Link(spec, sock, sock, None, hears_itself)
+        return Link(spec, sock, sock, None, receive_own)
     except OSError as error:
         sock.close()
         raise LinkError(f"bus {spec!r}: {_advice_on_interface(error, interface)}") from error

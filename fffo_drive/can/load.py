@@ -91,14 +91,14 @@ def period_chain(
     turnaround_s: float,
     host_s: float,
 ) -> Chain:
-    """SYNC, the drive's turnaround, its answers, the host's time, the command, and one frame in the way.
+    """SYNC, the drive's turnaround, its answers, the host's time, the command, and one blocking frame.
 
     `answers`: every TPDO that one SYNC can set off. `turnaround_s`: from SYNC received to the answer queued
-    in the drive. `host_s`: waking, computing and handing the command to the controller. The frame in the way
+    in the drive. `host_s`: waking, computing and handing the command to the controller. The blocking frame
     is the longest of the bus (an SDO, EMCY or event frame that began just before); typically there is none.
     """
     steps = [frame_step(sync, bitrate_hz), ChainStep("drive turnaround", turnaround_s, turnaround_s)]
     steps += [frame_step(item, bitrate_hz) for item in answers]
     steps += [ChainStep("host", host_s, host_s), frame_step(command, bitrate_hz)]
-    steps.append(ChainStep("a frame in the way", BLOCKING_BITS / bitrate_hz, 0.0))
+    steps.append(ChainStep("blocking frame", BLOCKING_BITS / bitrate_hz, 0.0))
     return Chain(tuple(steps), period_s)

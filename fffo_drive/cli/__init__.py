@@ -40,7 +40,7 @@ COMMANDS = {
     "install": ("install", "install or remove the units, rules and configuration of the service"),
     "drive-info": ("drive_info", "show from the EDS of a drive whether and how it can be used"),
     "config": ("config", "check an axis file, print JSON schemas and tables"),
-    "manual": (".manual.command", "open the manual, or build its pages"),  # a floor above: it reads all other commands
+    "manual": (".manual.command", "open the manual, or build its pages"),  # a layer above: it reads all other commands
 }
 
 DESCRIPTION = """\

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -92,14 +93,14 @@ def exit_code(found: list[Gate]) -> int:
     return EXIT_OF_GATE.get(refused(found)[0].name, EXIT_REFUSED)
 
 
-def print_gates(found: list[Gate]) -> None:
-    """The gates as a table."""
+def print_gates(found: Sequence[Gate], stderr: bool = False) -> None:
+    """The gates as a table; on stderr if a result follows on stdout."""
     table = Table(box=None, pad_edge=False)
     for column in ("gate", "", "found"):
         table.add_column(column)
     for gate in found:
         table.add_row(gate.name, "[green]passed[/]" if gate.passed else "[red]REFUSED[/]", gate.text)
-    Console(soft_wrap=False).print(table)
+    Console(soft_wrap=False, stderr=stderr).print(table)
 
 
 def _roll_back(axis_path: Path, as_json: bool) -> int:

@@ -71,12 +71,13 @@ def execute(options: argparse.Namespace) -> int:
         say=lambda text: console.print(text, soft_wrap=True, highlight=False),
         bar=partial(progress_bar, quiet=options.json),
         diagnose=partial(_diagnose, options.json),
+        show_gates=partial(_show_gates, options.json),
     )
     found = list(closed.gates)
     if options.json:
         print(json.dumps(as_object(closed.source), indent=2))
     else:
-        _print(closed.source, found, closed.page)
+        _print(closed.source, closed.page)
     if closed.trouble:
         raise keeps_no_rate(closed.trouble)
     if found and not closed.adopted:
@@ -107,9 +108,12 @@ def _diagnose(
         raise DocumentError(f"{out}: the diagnosis ended with exit code {code}")
 
 
-def _print(source: CircleSource, found: list[Gate], page: Path) -> None:
-    if found:
-        print_gates(found)
+def _show_gates(quiet: bool, found: Sequence[Gate]) -> None:
+    if found and not quiet:
+        print_gates(found, stderr=True)
+
+
+def _print(source: CircleSource, page: Path) -> None:
     print(f"found: {', '.join(source.effects) or 'nothing'} ({source.verdict})")
     for name, reason in source.not_compensated.items():
         print(f"not compensated: {name}: {reason}")

@@ -185,7 +185,7 @@ def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:
     table.add_column("check", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     table.add_column("found")
-    missing: str | None = None  # one cause has many results: told once
+    missing: str | None = None  # one cause has many results: reported once
     for check in record.checks:
         found = "the same" if check.verdict == NOT_DONE and check.text == missing else found_text(check)
         missing = check.text if check.verdict == NOT_DONE else missing

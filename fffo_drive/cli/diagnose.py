@@ -171,7 +171,7 @@ def _print(found: Diagnosis) -> None:
             print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:
             print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
-    places = (("held out", found.before, found.after), ("fitted", found.fit_before, found.fit_after))
+    places = (("held-out runs", found.before, found.after), ("fitted runs", found.fit_before, found.fit_after))
     for place, before, after in places:
         if before is not None and after is not None:
             print(f"  {place}: {_errors(before, after, words)}")
@@ -206,9 +206,9 @@ def _errors(before: ErrorFigures, after: ErrorFigures, words: DiagnosisWords) ->
     torque, speed = words.torque, words.unit("rps")
     first, last = before.torque_relative_percent, after.torque_relative_percent
     text = (
-        f"{torque} error {first.value:.2f} to {last.value:.2f} % ({last.low:.2f} to {last.high:.2f}) of the {torque} "
-        "that the axis needs"
+        f"{torque} error {first.value:.2f} % before, {last.value:.2f} % after (95 % interval {last.low:.2f} to "
+        f"{last.high:.2f} %) of the {torque} that the axis needs"
     )
     if before.velocity_rms_rps.value == 0.0:  # no run is long enough for a free window
         return text
-    return f"{text}; velocity {before.velocity_rms_rps.value:.3g} to {after.velocity_rms_rps.value:.3g} {speed}"
+    return f"{text}; velocity error {before.velocity_rms_rps.value:.3g}, {after.velocity_rms_rps.value:.3g} {speed}"

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..fleet.store import FleetStore
     from ..fleet.watch import Watched
 
-MOST_TOLD = 20  # failures that status prints; --json has all
+MOST_SHOWN = 20  # failures that status prints; --json has all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -171,14 +171,14 @@ def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[
     failed = [failure for failure in store.failures() if failure.run in asked]
     unreached = [one for one in store.unreached() if one.run in asked]
     if options.json and not hasattr(options, "runs"):
-        told = {"failed": [one._asdict() for one in failed], "unreached": [one._asdict() for one in unreached]}
-        print(json.dumps({"runs": len(entries), **told}, indent=2))
+        outcome = {"failed": [one._asdict() for one in failed], "unreached": [one._asdict() for one in unreached]}
+        print(json.dumps({"runs": len(entries), **outcome}, indent=2))
     elif not options.json:
         made = len(entries) - len(failed) - len(unreached)
         print(f"{counted(made, 'record')} made" + (f", {len(failed)} failed" if failed else ""))
-        for failure in failed[:MOST_TOLD]:
+        for failure in failed[:MOST_SHOWN]:
             print(f"failed: {failure.reason}", file=sys.stderr)
-        for attempt in unreached[:MOST_TOLD]:
+        for attempt in unreached[:MOST_SHOWN]:
             print(f"waits for the next work: {attempt.reason}", file=sys.stderr)
         if failed:
             print(f"all of them: fffo-drive fleet status {options.store}; again: work --retry", file=sys.stderr)
@@ -202,14 +202,14 @@ def _status(options: argparse.Namespace) -> int:
     drives = store.drives().to_pylist()
     print("\n  ".join(status_lines(status)))
     print(f"  {counted(status.new_files, 'file')} to merge, {status.merged_files} merged")
-    for row in drives[:MOST_TOLD]:
+    for row in drives[:MOST_SHOWN]:
         span = f"{row['first']:%Y-%m-%d} to {row['last']:%Y-%m-%d}"
         print(f"  {row['model']}, {row['drive']}: {counted(row['runs'], 'run')}, {span}")
-    if len(drives) > MOST_TOLD:
-        print(f"  and {len(drives) - MOST_TOLD} drives more (--json has all)")
-    for attempt in unreached[:MOST_TOLD]:
+    if len(drives) > MOST_SHOWN:
+        print(f"  and {len(drives) - MOST_SHOWN} drives more (--json has all)")
+    for attempt in unreached[:MOST_SHOWN]:
         print(f"waits for the next work: {attempt.reason}")
-    for failure in failures[:MOST_TOLD]:
+    for failure in failures[:MOST_SHOWN]:
         print(f"failed after {failure.tries} tries: {failure.reason}")
     return 0
 
@@ -258,7 +258,7 @@ def _report(options: argparse.Namespace) -> int:
         return 0
     for spread in spreads:
         print(f"{spread.model}: {counted(len(spread.drives), 'drive')}, {counted(int(spread.runs.sum()), 'run')}")
-        for one in spread.outsiders[:MOST_TOLD]:
+        for one in spread.outsiders[:MOST_SHOWN]:
             print(f"  {one.drive} stands outside: {outsider_text(one)}")
     print(paths.page)
     return 0

@@ -73,8 +73,8 @@ def execute(options: argparse.Namespace) -> int:
         write_figures(page.figures, out / FIGURES)
     if options.json:
         keys = ("parameters", "effects", "remarks", "doubts", "warnings", "sensor_delay_s", "sensor_delay_sd_s")
-        told = {key: found.result[key] for key in (*keys, "prior") if key in found.result}
-        print(json.dumps(told | {"report": str(paths.page)}, indent=2))
+        printed = {key: found.result[key] for key in (*keys, "prior") if key in found.result}
+        print(json.dumps(printed | {"report": str(paths.page)}, indent=2))
     else:
         print("\n".join(coverage_lines(found.coverage, facts.units == "linear")))
         _print(found.result)
@@ -121,5 +121,5 @@ def effect_line(effect: dict[str, Any]) -> str:
         place = "" if row["run"] is None else f" in {row['run']}"
         numbers.append(f"{row['symbol']} {row['value']:.4g}{spread} {row['unit']}{place}".rstrip(" -"))
     share = effect.get("share_of_the_others_residual")
-    told = "" if share is None else f" ({100.0 * share:.0f} % of what the others leave)"
-    return f"{effect['name']}{told}: {', '.join(numbers)}"
+    share_text = "" if share is None else f" ({100.0 * share:.0f} % of what the others leave)"
+    return f"{effect['name']}{share_text}: {', '.join(numbers)}"

@@ -98,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    hints, declared = _told(options)
+    hints, declared = _from_options(options)
     logs = recognised_logs(options.logs, hints, Path(options.map) if options.map else None)
     if not options.json:
         _print_tables(logs)
@@ -144,12 +144,12 @@ def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) ->
         print(f"next: fffo-drive identify {' '.join(map(str, done.recordings))} --out {out / 'model'}")
 
 
-def _told(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
+def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     """What the user says: of columns and units, and of the axis. The command line stands before the map."""
-    told = read_map(Path(options.map)) if options.map else {}
-    roles = dict(told.get("roles") or {})
+    mapping = read_map(Path(options.map)) if options.map else {}
+    roles = dict(mapping.get("roles") or {})
     roles |= {signal: value for role, signal in ROLES.items() if (value := getattr(options, role)) is not None}
-    units = dict(told.get("units") or {})
+    units = dict(mapping.get("units") or {})
     for text in options.unit:
         column, equals, unit = text.rpartition("=")
         if not equals:
@@ -158,10 +158,10 @@ def _told(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     if options.rate is not None and not options.rate > 0.0:
         raise RecordingError(f"--rate {options.rate:g}: give a positive number of samples per second")
     hints = Hints(
-        options.rate or told.get("rate_hz"), options.counts_per_turn or told.get("counts_per_turn"),
-        options.linear or bool(told.get("linear")), roles, known_units(units),
+        options.rate or mapping.get("rate_hz"), options.counts_per_turn or mapping.get("counts_per_turn"),
+        options.linear or bool(mapping.get("linear")), roles, known_units(units),
     )  # fmt: skip
-    declared = dict(told.get("facts") or {})
+    declared = dict(mapping.get("facts") or {})
     given = {"torque_constant_nm_per_a": options.torque_constant} | {
         name: getattr(options, name) or None for name in DECLARED[1:]
     }
@@ -193,18 +193,18 @@ def _asked(logs: list[RecognisedLog], hints: Hints) -> tuple[list[RecognisedLog]
             taken.add((guess.signal, guess.column, guess.unit))
             continue
         if answer in sources[0].columns or answer == "-":
-            told = replace(hints, roles={**hints.roles, guess.signal: "" if answer == "-" else answer})
+            corrected = replace(hints, roles={**hints.roles, guess.signal: "" if answer == "-" else answer})
         elif unit is not None:
-            told = replace(hints, units={**hints.units, guess.column: unit})
+            corrected = replace(hints, units={**hints.units, guess.column: unit})
         else:
             print(f"{answer!r} is neither a unit nor a column: {did_you_mean(answer, [*UNITS, *sources[0].columns])}")
             continue
         try:
-            logs = [recognised(source, told) for source in sources]
+            logs = [recognised(source, corrected) for source in sources]
         except RecordingError as error:
             print(error)
             continue
-        hints = told
+        hints = corrected
         _print_tables(logs)
 
 

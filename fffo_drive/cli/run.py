@@ -8,6 +8,7 @@ With --served the daemon that has the axis (fffo-drive serve) runs the profile a
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import json
 import time
@@ -15,10 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..config.adoption import read_history
 from ..config.axis import TOGGLES
 from ..config.commissioning import permission
+from ..control.reference import MODE_VELOCITY
 from ..daemon.served_run import record_served
 from ..daemon.serving import find_socket
+from ..documents import DocumentError
 from ..drive.port import ExchangeCounts
 from ..model.effects.registry import name_error
 from ..runtime.runs import timestamp_name
@@ -78,7 +82,7 @@ def execute(options: argparse.Namespace) -> int:
         print(json.dumps(summary, indent=2))
     else:
         _print(summary)
-        print(f"next: {next_step(outcome.files)}")
+        print(f"next: {next_step(plan, outcome.files)}")
     if outcome.fault_text is not None:
         raise DriveFaultError(f"the run ended with a fault: {outcome.fault_text}")
     if outcome.gap_text is not None:
@@ -97,14 +101,27 @@ def _served(options: argparse.Namespace, plan: Plan) -> int:
     names = [str(file) for file in files]
     print(json.dumps({"axis": plan.axis.name, "files": names}, indent=2) if options.json else "\n".join(names))
     if not options.json:
-        print(f"next: {next_step(files)}")
+        print(f"next: {next_step(plan, files)}")
     return 0
 
 
-def next_step(files: Sequence[Path]) -> str:
-    """What to type with a run's files."""
+def next_step(plan: Plan, files: Sequence[Path]) -> str:
+    """What to type with a run's files: nothing that led to the model in service."""
     names = " ".join(map(str, files))
-    return f"fffo-drive identify {names} --out DIR, or fffo-drive diagnose --fit {names} --held-out OTHER_RUN --out DIR"
+    if plan.profile.mode == MODE_VELOCITY and _is_adopted(plan):
+        return f"fffo-drive evaluate --runs RUN_BEFORE_ADOPTION {names} --out DIR"
+    diagnose = f"fffo-drive diagnose --fit {names} --held-out OTHER_RUN --out DIR"
+    if plan.model.provenance.runs:  # fitted to runs of the axis
+        return diagnose
+    return f"fffo-drive identify {names} --out DIR, or {diagnose}"
+
+
+def _is_adopted(plan: Plan) -> bool:
+    """`fffo-drive adopt` has put the model in service. A damaged history is no reason to fail after a run."""
+    with contextlib.suppress(DocumentError):
+        adoptions = read_history(plan.path).adoptions
+        return bool(adoptions) and adoptions[-1].model == plan.axis.model
+    return False
 
 
 def _effect_name(text: str) -> str:

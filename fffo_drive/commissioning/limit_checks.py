@@ -29,13 +29,13 @@ ENVELOPE_REMEDY = (
 def current_limit(motion: PulseMotion, limit_a: float, asked_a: float, resolution_a: float) -> CheckRecord:
     """A pulse beyond the limit is clamped to the limit, which does not move the axis."""
     highest_a = float(np.abs(motion.command_a).max())
-    told_limited = bool((motion.limits & LIMIT_CURRENT).any())
+    reported_limited = bool((motion.limits & LIMIT_CURRENT).any())
     moved_rev = max((abs(r.net_rev) for r in responses(motion)), default=math.nan)
     numbers = {"asked_a": asked_a, "limit_a": limit_a, "highest_command_a": highest_a, "travel_rev": moved_rev}
     text = (
         f"{asked_a:.3g} A requested with a limit of {limit_a:.3g} A: {highest_a:.3g} A sent, {moved_rev:.2g} rev moved"
     )
-    if highest_a > limit_a + resolution_a or not told_limited or not motion.enabled.any():
+    if highest_a > limit_a + resolution_a or not reported_limited or not motion.enabled.any():
         return judged("current_limit", FAILED, text, ENVELOPE_REMEDY, numbers)
     if moved_rev > MOVED_REV:
         remedy = (

@@ -150,7 +150,7 @@ CLEARED = "; acceleration per ampere or the encoder objects agree with this one"
 def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> CheckRecord:
     name = "counts_per_rev"
     declared, object_608f = facts.counts_per_rev, plate.counts_per_rev
-    text = f"the position travels {1.0 / fit.ratio:.4g} of the integrated velocity" if fit.ratio else "no travel"
+    text = f"travel by position is {1.0 / fit.ratio:.4g} times the integrated velocity" if fit.ratio else "no travel"
     if declared is not None and object_608f is not None:
         text += f"; declared {declared:g} counts, {plate.counts_object} says {object_608f:g}"
         if object_608f != declared:
@@ -170,7 +170,7 @@ def _counts(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: Declare
 def _velocity_units(fit: ScaleFit, suspected: set[str], plate: NamePlate, facts: DeclaredFacts) -> CheckRecord:
     name = "velocity_scale"
     declared, object_6090 = facts.velocity_units_per_rps, plate.velocity_units_per_rps
-    text = f"integrated velocity is {fit.ratio:.4g} of the travel by the position"
+    text = f"integrated velocity is {fit.ratio:.4g} times the travel by position"
     if suspected and name not in suspected:
         return judged(name, OK, text + CLEARED)
     would = f" ({declared * fit.ratio:.6g} units for one rev/s would agree with the position)" if declared else ""
@@ -235,7 +235,7 @@ def torque_per_inertia(gain_rps2_per_a: float, beliefs: Beliefs) -> CheckRecord:
     """Kt/J: with a wrong one every feed-forward torque and every margin is wrong by the same factor."""
     expected = beliefs.gain_rps2_per_a
     ratio = gain_rps2_per_a / expected
-    text = f"{gain_rps2_per_a:.4g} rps2/A, {ratio:.2f} of the model's {expected:.4g}"
+    text = f"{gain_rps2_per_a:.4g} rps2/A, {ratio:.2f} times the model's {expected:.4g}"
     remedy = (
         "torque_constant_nm_per_a (name plate, 0x6076 over 0x6075) or inertia_kg_m2 in the model is wrong, or "
         "drive.rated_torque_nm is; or the scales of position and velocity are wrong by one factor"

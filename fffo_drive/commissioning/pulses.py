@@ -14,7 +14,7 @@ PULSE_S = 0.04
 LONGEST_PULSE_S = 0.32
 SHORTEST_REST_S = 0.15  # zero current between pulses of one profile
 
-# shares of the pulse's length, and its levels: corners in the middle of the motion, by which delay and gain are told
+# shares of the pulse's length, and its levels: corners in mid-motion, which tell delay from gain
 MEASURING_SHAPE = ((0.5, 1.0), (0.25, 0.1), (0.25, 1.0))
 
 

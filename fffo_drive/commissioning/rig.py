@@ -62,7 +62,7 @@ class Rig:
     ) -> None:
         self.drive = drive
         self._tell = tell
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.period_s = session.loop.period_ns * 1e-9
         self.identity: DriveIdentity | None = None
         self.motion: PulseMotion | None = None  # the last that was made
@@ -81,16 +81,16 @@ class Rig:
         with Session(self.drive, self._session._replace(envelope=envelope)) as session:
             session.request(b.TOGGLE, TOGGLE_OFF)
             if self.drive.realtime:
-                for refusal in set(session.start().refusals) - self._told:
-                    self._told.add(refusal)
+                for refusal in set(session.start().refusals) - self._reported:
+                    self._reported.add(refusal)
                     self._tell(f"without real-time properties: {refusal}")
             yield Runner(session, self)
 
     def pass_on(self, warnings: list[str]) -> None:
         """Tell what the drive warns of, each thing once."""
         for text in warnings:
-            if text not in self._told:
-                self._told.add(text)
+            if text not in self._reported:
+                self._reported.add(text)
                 self._tell(text)
 
     def take_time(self, duration_s: float) -> None:
@@ -171,7 +171,7 @@ class Runner:
             else:
                 self._pass(ENABLE_S + self._delay_s + profile.duration_s + watch_s)
         finally:
-            self._statusword = session.telling_statusword
+            self._statusword = session.stop_statusword
             session.request(b.GOAL, GOAL_DISABLED)
             session.request(b.PROFILE_ABORT, number)
         if self.realtime:

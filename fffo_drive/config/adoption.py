@@ -111,21 +111,21 @@ def rest_gate(report: Mapping[str, Any] | None) -> Gate | None:
 
 
 def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
-    """Strengths are told from zero: the wave of a pair as a whole, at least one of several alone."""
+    """Strengths differ from zero: the wave of a pair as a whole, at least one of several alone."""
     law = law_of(effect.name)
-    told = []
+    strengths = []
     quantities = effect.quantities()
     for p in law.parameters:
         quantity = quantities.get(p.name)
         if p.kind == STRENGTH and quantity is not None and quantity.value != 0.0:
-            told.append((name_on(p.name, p.unit, linear), quantity.value, quantity.sd))
+            strengths.append((name_on(p.name, p.unit, linear), quantity.value, quantity.sd))
     name = f"{effect.name}: interval"
-    if not told:
+    if not strengths:
         return Gate(name, False, "no strength")
-    unknown = [key for key, _, sd in told if sd is None]
-    if len(unknown) == len(told):
+    unknown = [key for key, _, sd in strengths if sd is None]
+    if len(unknown) == len(strengths):
         return Gate(name, False, "no standard deviation: the strengths were not fitted, or are at a bound")
-    known = [(key, value, sd) for key, value, sd in told if sd is not None]
+    known = [(key, value, sd) for key, value, sd in strengths if sd is not None]
     distance = math.sqrt(sum((value / sd) ** 2 for _, value, sd in known if sd > 0.0))
     needed = NORMAL_95 * math.sqrt(len(known))
     first, value, sd = known[0]

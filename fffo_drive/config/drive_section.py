@@ -308,7 +308,7 @@ class CanopenDriveSection(StrictRecord):
             start_timeout_s=self.start_timeout_s,
             eds=self.eds,
             mode=self.mode,
-            modes_told=self.modes_told,
+            modes_listed=self.modes_told,
             mode_display=self.mode_display,
             device_profile=self.device_profile,
             target=MappedObject(self.target.object, self.target.sub, self.target.bits),

@@ -102,7 +102,7 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
         refusals += needs(objects, config)
         refusals += [f"{pdo.name}: {problem}" for pdo in pdos for problem in pdo.problems]
     exponent = dictionary.get_variable(0x60C2, 2)
-    told_hz = None if exponent is None else highest_rate_hz(_lowest(exponent))
+    declared_hz = None if exponent is None else highest_rate_hz(_lowest(exponent))
     return Fitness(
         modes=modes,
         mode=config.mode,
@@ -112,7 +112,7 @@ def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) ->
         proposal=proposal,
         section=section,
         unknown=tuple(key for key in TO_FILL_IN if key not in section),
-        highest_rate_hz=section.get("highest_rate_hz") or told_hz,
+        highest_rate_hz=section.get("highest_rate_hz") or declared_hz,
     )
 
 

@@ -35,8 +35,8 @@ class EventLog:
         self._caused: deque[dict[str, Any]] = deque(maxlen=KEPT)  # by clients
         self._number = 0
         self._second_s = clock()
-        self._told: Counter[str] = Counter()  # in this second, by kind
-        self._untold: dict[str, str] = {}  # kinds with more, and the last of these
+        self._counts: Counter[str] = Counter()  # in this second, by kind
+        self._suppressed: dict[str, str] = {}  # kinds with more, and the last of these
         self.listeners: list[Listener] = []
 
     @property
@@ -52,9 +52,9 @@ class EventLog:
         with self._lock:
             self.turn()
             if kind in CAUSED_BY_CLIENTS:
-                self._told[kind] += 1
-                if self._told[kind] > CAUSED_BY_CLIENTS[kind]:
-                    self._untold[kind] = text
+                self._counts[kind] += 1
+                if self._counts[kind] > CAUSED_BY_CLIENTS[kind]:
+                    self._suppressed[kind] = text
                     return
             self._add(kind, text, level, data)
 
@@ -64,10 +64,10 @@ class EventLog:
             now_s = self._clock()
             if now_s - self._second_s < 1.0:
                 return
-            told, untold = self._told, self._untold
-            self._second_s, self._told, self._untold = now_s, Counter(), {}
-            for kind, last in untold.items():
-                count = told[kind] - CAUSED_BY_CLIENTS[kind]
+            counts, suppressed = self._counts, self._suppressed
+            self._second_s, self._counts, self._suppressed = now_s, Counter(), {}
+            for kind, last in suppressed.items():
+                count = counts[kind] - CAUSED_BY_CLIENTS[kind]
                 self._add(kind, f"{count} more in a second, the last: {last}", Level.WARNING, {"count": count})
 
     def _add(self, kind: str, text: str, level: Level, data: Mapping[str, Any] | None) -> None:

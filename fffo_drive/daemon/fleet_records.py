@@ -16,7 +16,7 @@ from .event_log import EventLog
 from .worker import Worker
 
 LONGEST_S = 3600.0  # of one process: a processor that is never idle
-LONGEST_TEXT = 300  # characters of what it says that are told
+LONGEST_TEXT = 300  # characters of its output that are reported
 
 
 class FleetRecords:

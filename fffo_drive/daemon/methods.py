@@ -349,12 +349,12 @@ class Api:
         return {"state": supervisor.state.value, "reached": reached, "epoch": supervisor.machine.epoch.value}
 
     def _command(self, caller: Caller, wanted: p.Commanded, text: str) -> None:
-        self._told("command", caller, wanted, text)
+        self._log_request("command", caller, wanted, text)
 
     def _parameters(self, caller: Caller, wanted: p.Commanded, text: str) -> None:
-        self._told("parameters", caller, wanted, text)
+        self._log_request("parameters", caller, wanted, text)
 
-    def _told(self, kind: str, caller: Caller, wanted: p.Commanded, text: str) -> None:
+    def _log_request(self, kind: str, caller: Caller, wanted: p.Commanded, text: str) -> None:
         """Who did what, and on whose behalf."""
         data = {**caller.credentials, "who": wanted.who} if wanted.who else caller.credentials
         self.supervisor.log.add(kind, f"{text} by {asker(caller.name, wanted.who)}", data=data)

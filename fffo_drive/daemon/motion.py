@@ -25,8 +25,8 @@ class MotionRequests:
         self._brake_pending = False
         self.asked: AskedSetPoint | None = None  # the last one, while a motion by set points lasts
         self.set_point_number = 0
-        self._told_lapsed = 0
-        self._told_blocked = False
+        self._reported_lapsed = 0
+        self._reported_blocked = False
 
     @property
     def _session(self) -> Session:
@@ -51,7 +51,7 @@ class MotionRequests:
         """A set point to the loop."""
         before_rps = 0.0 if self.asked is None else self.asked.set_point.target_rps
         if before_rps * asked.set_point.target_rps <= 0.0:  # a jog that is renewed at the edge is no news
-            self._told_blocked = False
+            self._reported_blocked = False
         self.set_point_number = self._session.set_point(asked.set_point)
         self.asked = asked
 
@@ -62,9 +62,9 @@ class MotionRequests:
 
     def newly_lapsed(self) -> AskedSetPoint | None:
         """The set point that has just lapsed; once."""
-        if self.asked is None or not self.lapsed or self._told_lapsed == self.set_point_number:
+        if self.asked is None or not self.lapsed or self._reported_lapsed == self.set_point_number:
             return None
-        self._told_lapsed = self.set_point_number
+        self._reported_lapsed = self.set_point_number
         return self.asked
 
     @property
@@ -74,8 +74,8 @@ class MotionRequests:
 
     def newly_blocked(self) -> bool:
         """True once, when the motion has just reached the edge of the window."""
-        newly = self.blocked and not self._told_blocked
-        self._told_blocked = self._told_blocked or newly
+        newly = self.blocked and not self._reported_blocked
+        self._reported_blocked = self._reported_blocked or newly
         return newly
 
     @property

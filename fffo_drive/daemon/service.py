@@ -86,7 +86,7 @@ class _Service:
         self._stop = asyncio.Event()
         self._stops = 0
         self._fed_s = 0.0
-        self._told_s = 0.0
+        self._status_s = 0.0
         self._attaching = Worker("fffo-attach")
 
     @property
@@ -153,8 +153,8 @@ class _Service:
         if watchdog_s is not None and now_s - self._fed_s > watchdog_s / FEEDS_PER_WATCHDOG and supervisor.consistent:
             self._fed_s = now_s
             self.notifier.alive()
-        if now_s - self._told_s > STATUS_S:
-            self._told_s = now_s
+        if now_s - self._status_s > STATUS_S:
+            self._status_s = now_s
             self.notifier.status(line_of(supervisor))
 
     def _catch_signals(self) -> None:

@@ -195,7 +195,7 @@ class Supervisor:
         if self.state in (State.FAULT, State.OFFLINE):
             return
         latches = trouble.event is not StateEvent.DRIVE_LOST or self.state in TORQUE_STATES
-        statusword = None if self.connection is None else self.connection.session.telling_statusword
+        statusword = None if self.connection is None else self.connection.session.stop_statusword
         text = self._heard(trouble.text, statusword)
         if latches:
             tick = -1 if self.connection is None else self.connection.last_tick
@@ -287,7 +287,7 @@ class Supervisor:
             return
         self._deadline_s = NEVER_S
         if self.state in WANTING_TORQUE:
-            statusword = None if self.connection is None else self.connection.session.telling_statusword
+            statusword = None if self.connection is None else self.connection.session.stop_statusword
             self.not_enabled = self._heard(NOT_ENABLED, statusword)
             self.log.add("state", self.not_enabled, Level.ERROR)
             self._hear_out(NOT_ENABLED, statusword)

@@ -23,7 +23,7 @@ from .spectra import time_spectrum
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-TOLD_RATIO = 1.2  # rms relative to the floor, above which a rest is reported
+REPORTED_RATIO = 1.2  # rms relative to the floor, above which a rest is reported
 TREES = 80
 LEAVES = 15
 LEAST_LEAF = 40  # rows in a leaf
@@ -58,7 +58,7 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     repeats = ceiling.left_repeatable_fraction
     if ceiling.noise_rms_nm is not None and repeats is not None and repeats > 0.0:
         floor = min(floor, rms * float(np.sqrt(max(0.0, 1.0 - repeats))))
-    if rms <= TOLD_RATIO * floor:
+    if rms <= REPORTED_RATIO * floor:
         return None
     axes = tuple(WORDS[name] for name in strongest)
     share = share_above(floor, rms)
@@ -75,7 +75,7 @@ def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...
     """What only effects explain that do not carry over to held-out runs; None where it is small."""
     used = data.used
     rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (base, refused))
-    if rms <= TOLD_RATIO * floor:
+    if rms <= REPORTED_RATIO * floor:
         return None
     sentence = (
         f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of "

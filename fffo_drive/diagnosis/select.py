@@ -124,8 +124,8 @@ class DiagnosisSettings(NamedTuple):
 class Selector:
     """The search over one data set."""
 
-    def __init__(self, facts: DriveFacts, rules: DiagnosisSettings, told: Callable[[float, str], None]) -> None:
-        self.facts, self.rate, self.ablate, self.told = facts, rules.false_alarm_rate, rules.ablate, told
+    def __init__(self, facts: DriveFacts, rules: DiagnosisSettings, progress: Callable[[float, str], None]) -> None:
+        self.facts, self.rate, self.ablate, self.progress = facts, rules.false_alarm_rate, rules.ablate, progress
         self.search = Search(facts, rules.without, rules.ablate)
         self.refused: dict[str, Refused] = {}
         self.barred: set[str] = set()
@@ -143,7 +143,7 @@ class Selector:
         self.reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
         for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
             while len(accepted) < MOST_EFFECTS:
-                self.told((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
+                self.progress((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
                 found = self._round(data, scored, accepted, rung)
                 if found is None:
                     break

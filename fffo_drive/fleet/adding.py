@@ -67,7 +67,7 @@ def add_runs(
 
     A recording that ended badly (`NAME.mcap.part`) and the finished file made of it (`NAME.mcap`) are one run: the
     finished one is taken, and what the index has of the other is dropped.
-    What speaks against a run is told and stops no other. Raises OSError where the store cannot be written.
+    What speaks against a run is reported and stops no other. Raises OSError where the store cannot be written.
     """
     known = {(entry["path"], entry["stamp"]): entry["run"] for entry in store.index().to_pylist()}
     entries: list[dict[str, Any]] = []
@@ -117,8 +117,8 @@ def _state_of(place: str) -> tuple[str, int, str, datetime]:
     path = place if is_url(place) else str(Path(place).resolve())
     filesystem, inner = open_filesystem(path)
     info = filesystem.info(inner)
-    told = info.get("LastModified") or info.get("mtime") or 0.0
-    changed = told if isinstance(told, datetime) else datetime.fromtimestamp(float(told), UTC)
+    modified = info.get("LastModified") or info.get("mtime") or 0.0
+    changed = modified if isinstance(modified, datetime) else datetime.fromtimestamp(float(modified), UTC)
     size = int(info.get("size") or 0)
     return path, size, f"{size} {changed.isoformat()} {info.get('ETag', '')}".strip(), changed
 
@@ -140,25 +140,25 @@ def _entry(path: str, given: Given, changed: datetime) -> dict[str, Any]:
 
 def _said(path: str, head: RunHead, given: Given, changed: datetime) -> tuple[str, str, datetime]:
     """Drive, model and start of a recording, by what stands in front of its rows."""
-    told = head.metadata
+    metadata = head.metadata
     start = changed
     if head.start_ns is not None:
         stamp = datetime.fromtimestamp(head.start_ns // 1_000 / 1e6, UTC)
         start = stamp if stamp >= FIRST_TRUE_CLOCK else changed
     attached = head.attachments.get(FACTS_NAME)
-    if attached is not None and "axis" not in told:
+    if attached is not None and "axis" not in metadata:
         name = f"{path}, {FACTS_NAME}"
         data, lines = parse(attached.data.decode("utf-8", "replace"), name)
         declared = check(data, DriveFacts, name, lines)
         return _of_facts(path, declared, given), given.model or declared.name, start
-    serial = told.get("drive_serial", "")
+    serial = metadata.get("drive_serial", "")
     # a simulated drive in process has neither maker nor number of its own: its axis is what is one and the same
-    numbered = serial not in NO_NUMBER and told.get("drive_vendor", "") not in NO_NUMBER
-    drive = given.drive or (serial if numbered else told.get("axis", ""))
+    numbered = serial not in NO_NUMBER and metadata.get("drive_vendor", "") not in NO_NUMBER
+    drive = given.drive or (serial if numbered else metadata.get("axis", ""))
     if not drive:
         raise DocumentError(f"{path}: does not say of which drive it is: give --serial NAME")
-    words = told.get("drive", "")
-    model = words.removesuffix(told.get("drive_software", "")).strip() or words
+    words = metadata.get("drive", "")
+    model = words.removesuffix(metadata.get("drive_software", "")).strip() or words
     return drive, given.model or model, start
 
 
@@ -171,8 +171,8 @@ def _of_facts(path: str, facts: DriveFacts, given: Given) -> str:
 
 def facts_of(entry: dict[str, Any]) -> DriveFacts | None:
     """The facts that an entry of the index carries."""
-    told = entry.get("facts")
-    return None if told is None else DriveFacts.model_validate(json.loads(told))
+    facts = entry.get("facts")
+    return None if facts is None else DriveFacts.model_validate(json.loads(facts))
 
 
 def all_places(named: Iterable[str], source: str | None, tables: bool) -> list[str]:

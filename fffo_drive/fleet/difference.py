@@ -4,9 +4,10 @@ The columns of the regression are compared all at once. With P_t the inverse cov
 the scatter between runs, as in `channels`), the difference d of the two generalised least-squares means has the
 covariance C = (sum P_t)^-1 of the first set + that of the second + that of the temperature slope. d' C^-1 d tests all
 columns together. Then laws are chosen forwards: a change along e explains (e' C^-1 d)^2 / e' C^-1 e of it, the law that
-explains most is taken first, and the next one only if it explains what is left beyond chance. What a law is told to
-have changed by is thus beside those that did, not what their change looks like in its column. Laws whose likelihood is
-nearly that of the chosen one are named with it. Amplitudes and the gap are compared one by one (`_compared`).
+explains most is taken first, and the next one only if it explains what is left beyond chance. The change
+attributed to a law is thus what the other changed laws leave, not what their change looks like in its column. Laws
+whose likelihood is nearly that of the chosen one are named with it. Amplitudes and the gap are compared one by one
+(`_compared`).
 
 The scatter and the slopes are those of the fleet, so that two single runs can be compared. Of so many laws one may
 differ by chance: p is corrected after Holm (Scand. J. Statist. 6, 1979), and the intervals are as wide as that asks for

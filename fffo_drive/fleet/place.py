@@ -105,8 +105,8 @@ class StorePlace:
 
 
 def _protocols(filesystem: Any) -> tuple[str, ...]:
-    told = filesystem.protocol
-    return (told,) if isinstance(told, str) else tuple(told)
+    protocols = filesystem.protocol
+    return (protocols,) if isinstance(protocols, str) else tuple(protocols)
 
 
 @contextlib.contextmanager

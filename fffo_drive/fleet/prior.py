@@ -130,12 +130,12 @@ def population_from_plain(plain: Mapping[str, Any]) -> Population:
             raise ValueError(f"not a population: {key} has the shape {values.shape}, {size} names need {shape}")
         return values
 
-    warming, told = None, plain.get("warming")
-    if told is not None:
+    warming, stored = None, plain.get("warming")
+    if stored is not None:
         square = (size, size)
         warming = Warming(
-            float(told["degc"]), float(told["sd_k"]), array(told, "slope_per_k", (size,)),
-            array(told, "level_slope", square), array(told, "slope_covariance", square),
+            float(stored["degc"]), float(stored["sd_k"]), array(stored, "slope_per_k", (size,)),
+            array(stored, "level_slope", square), array(stored, "slope_covariance", square),
         )  # fmt: skip
     return Population(
         names, array(plain, "mean", (size,)), array(plain, "covariance", (size, size)),

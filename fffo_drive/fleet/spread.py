@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 SPREAD_COLUMNS = (
     "model", "drive", "start", "units", "normal", "moment", *SCALARS, "order_amplitude_nm",
 )  # fmt: skip
-OUTSIDE_P = 0.01  # chance that any drive of a model is told to stand outside in one number
+OUTSIDE_P = 0.01  # chance that any drive of a model is reported as an outlier in one number
 LEAST_DRIVES = 5  # that make a population
 LEAST_ORDER_RUNS = 0.5  # of a drive's runs have to resolve an order
 RESIDUAL = "residual_rms_nm"

@@ -112,11 +112,11 @@ def against_population(
     at_degc = float(np.mean(degc)) if logged else None
     covariance = population.at(at_degc)[1] + population.scatter
     effective = float(sum(balance.effective_rows for balance in balances))
-    told = AgainstPopulation(
+    against = AgainstPopulation(
         population.model, source, population.drives, at_degc, found.p, found.other_population, rows, covariance,
         effective,
     )  # fmt: skip
-    return told.in_words_of(facts.units == "linear")
+    return against.in_words_of(facts.units == "linear")
 
 
 def _row(found: Posterior, k: int, sd: float, ends: Floats) -> PopulationRow:

@@ -100,7 +100,7 @@ class FleetStore:
             text = json.dumps({"format": formats.FLEET.word}, indent=2) + "\n"
             self.place.write(STORE_FILE, text.encode())
         try:
-            told = json.loads(self.place.read(STORE_FILE))
+            document = json.loads(self.place.read(STORE_FILE))
         except FileNotFoundError:
             raise DocumentError(
                 f"{address}: no store here: check the path; `fffo-drive fleet add {address} RUN...` makes a new one"
@@ -108,7 +108,7 @@ class FleetStore:
         except ValueError as error:
             raise DocumentError(f"{address}: {STORE_FILE} cannot be read: {error}") from None
         try:
-            formats.migrated(told, "fleet")
+            formats.migrated(document, "fleet")
         except formats.FormatError as error:
             raise DocumentError(f"{address}: {STORE_FILE}: {error}") from None
 

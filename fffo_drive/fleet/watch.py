@@ -287,7 +287,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
                     found.append(Undecided(drive, (
                         f"the last runs are at {now:.0f} degC, those before at {low:.0f} to {high:.0f} degC: what this "
                         "temperature does to the drive is not known from its own runs, so a change of friction cannot "
-                        "be told from it yet"
+                        "be distinguished from it yet"
                     )))  # fmt: skip
         elif place is not None and count >= 2 * RECENT:
             known = stack.information[runs][:, place, place] > 0.0

@@ -25,7 +25,7 @@ INERTIA = "inertia_nm_s2_per_rev"
 FROM_POPULATION = (INERTIA, "viscous_nm_per_rps", "coulomb_nm")  # the same in the balance and in the 2SEP model
 MOVED = (*FROM_POPULATION, "static_nm", "stribeck_velocity_rps")  # what goes with them in a fit of little motion
 LARGEST_LOG_SD = 2.0  # of a fit's parameter: beyond a factor of seven nothing is known, as in a diagnosis' wide prior
-TOLD_SD = 2.0  # of a parameter's deviation, from which on it is named as one that is out
+NAMED_SD = 2.0  # of a parameter's deviation, from which on it is named as one that is out
 ADVICE = (
     "The prior was not used. Check the drive's type, its load, the torque constant and the units of the run; if they "
     "are right, the drive differs from the others: record the full recipe and run without --prior"
@@ -63,9 +63,9 @@ class AgainstPopulation(NamedTuple):
 
     def as_plain(self) -> dict[str, Any]:
         """JSON-ready."""
-        told = {k: v for k, v in self._asdict().items() if k not in ("rows", "covariance", "effective_rows")}
+        plain = {k: v for k, v in self._asdict().items() if k not in ("rows", "covariance", "effective_rows")}
         rows = [row._asdict() | {"interval_95": list(row.interval_95)} for row in self.rows]
-        return told | {"parameters": rows, "says": self.sentence()}
+        return plain | {"parameters": rows, "says": self.sentence()}
 
     def in_words_of(self, linear: bool) -> AgainstPopulation:
         """With the words and units of a linear axis, where it is one."""
@@ -84,7 +84,7 @@ class AgainstPopulation(NamedTuple):
             (row for row in self.rows if row.away_sd is not None and abs(row.away_sd) > 0.0),
             key=lambda row: -abs(row.away_sd or 0.0),
         )
-        out = [row for row in far if abs(row.away_sd or 0.0) >= TOLD_SD] or far[:1]
+        out = [row for row in far if abs(row.away_sd or 0.0) >= NAMED_SD] or far[:1]
         return (
             f"this drive is not one of the population: {whose}, p {self.p:.2g}: {', '.join(map(_out, out))}. {ADVICE}"
         )

@@ -181,11 +181,11 @@ def _compared(looks: Sequence[RunLook]) -> list[Remark]:
     torque_nm = max((abs(e.value) for look in looks for n, e in look.estimates.items() if n == "coulomb_nm"), default=0)
     found = []
     for name in PARAMETERS:
-        told = [(look, look.estimates[name]) for look in looks if look.estimates[name].determined]
-        if len(told) < 2:
+        known = [(look, look.estimates[name]) for look in looks if look.estimates[name].determined]
+        if len(known) < 2:
             continue
-        values = np.array([e.value for _, e in told])
-        sds = np.array([max(e.sd, 1e-300) for _, e in told])
+        values = np.array([e.value for _, e in known])
+        sds = np.array([max(e.sd, 1e-300) for _, e in known])
         mean = float(np.sum(values / sds**2) / np.sum(1.0 / sds**2))
         scale = max(abs(mean), torque_nm) if name == "offset_nm" else abs(mean)
         first, last = int(np.argmin(values)), int(np.argmax(values))
@@ -193,12 +193,12 @@ def _compared(looks: Sequence[RunLook]) -> list[Remark]:
         z = spread / float(np.hypot(sds[first], sds[last]))
         if spread <= CONTRADICTION_SHARE * scale or z <= CONTRADICTION_SDS:
             continue
-        found.append(_drift(name, told, scale) or _contradiction(name, told, first, last, z))
+        found.append(_drift(name, known, scale) or _contradiction(name, known, first, last, z))
     return found
 
 
-def _contradiction(name: str, told: Sequence[tuple[RunLook, Estimate]], first: int, last: int, z: float) -> Remark:
-    (low, least), (high, most) = told[first], told[last]
+def _contradiction(name: str, known: Sequence[tuple[RunLook, Estimate]], first: int, last: int, z: float) -> Remark:
+    (low, least), (high, most) = known[first], known[last]
     text = (
         f"{low.name} and {high.name} contradict each other: {WORDS[name]} {least.value:.4g} and {most.value:.4g} "
         f"({z:.0f} standard deviations). One model cannot hold for both: a payload, a temperature or a setting changed "
@@ -208,9 +208,9 @@ def _contradiction(name: str, told: Sequence[tuple[RunLook, Estimate]], first: i
     return Remark("contradiction", (name,), (low.name, high.name), text)
 
 
-def _drift(name: str, told: Sequence[tuple[RunLook, Estimate]], scale: float) -> Remark | None:
+def _drift(name: str, known: Sequence[tuple[RunLook, Estimate]], scale: float) -> Remark | None:
     """A monotone change from run to run over the clock of the log, each step larger than its noise."""
-    ordered = sorted(told, key=lambda pair: pair[0].begin_s)
+    ordered = sorted(known, key=lambda pair: pair[0].begin_s)
     begins = [look.begin_s for look, _ in ordered]
     if len(ordered) < DRIFT_RUNS or any(b <= a for a, b in itertools.pairwise(begins)):
         return None

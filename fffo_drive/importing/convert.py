@@ -110,8 +110,8 @@ def usable(name: str, log: Converted, found: Recognition) -> Converted:
             record_of_columns(name, rest, facts)
         except DataError:
             return log
-        told = str(error).removeprefix(f"{name}: ")
-        return Converted(rest, (*log.remarks, f"the velocity is left out, it contradicts the position: {told}"))
+        reason = str(error).removeprefix(f"{name}: ")
+        return Converted(rest, (*log.remarks, f"the velocity is left out, it contradicts the position: {reason}"))
     return log
 
 

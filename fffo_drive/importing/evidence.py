@@ -18,7 +18,7 @@ WRAP_TOLERANCE = 0.02
 LARGE_JUMP = 0.5  # of the range: what a motion does not do in one sample
 SMOOTH_SAMPLES = 9
 SMOOTH_S = 0.01
-MOST_POINTS = 200_000  # that a relation is told from
+MOST_POINTS = 200_000  # from which a relation is recognised
 OUTER = 0.25  # a signed number that is stored without its sign lies in the outer quarters of its range
 
 

@@ -30,7 +30,7 @@ def record_of(
     what was recognised on what grounds.
 
     `data`: columns (n,) by name, with units in the names ("speed_rpm", "angle [deg]") or in `hints`. `declared`: keys
-    of the facts (`torque_constant_nm_per_a`, `gear_ratio`, ...). Raises RecordingError for what cannot be told or used.
+    of the facts (`torque_constant_nm_per_a`, `gear_ratio`, ...). Raises RecordingError for what cannot be used.
     """
     names = list(data) if isinstance(data, Mapping) else [str(column) for column in data.columns]
     arrays = {column: _array(data[column]) for column in names}

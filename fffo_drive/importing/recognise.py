@@ -91,7 +91,7 @@ class _Column(NamedTuple):
 
 
 def recognise(source: Source, hints: Hints | None = None) -> Recognition:
-    """Guess all signals of a source. Raises RecordingError where no time, no motion or no input can be told."""
+    """Guess all signals of a source. Raises RecordingError where no time, no motion or no input can be recognised."""
     return _Recogniser(source, hints or Hints()).run()
 
 
@@ -157,14 +157,14 @@ class _Recogniser:
                     f"'{name}=UNIT'): {did_you_mean(text, UNITS)}"
                 )
 
-    def _told(self, signal: str) -> _Column | None:
+    def _hinted(self, signal: str) -> _Column | None:
         name = self.hints.roles.get(signal)
         return self.columns.get(name) if name else None
 
     def _pick(self, signal: str, quantity: str, asked: bool) -> _Column | None:
         """The column of a quantity by name: measured before unsaid, the first of several."""
         if signal in self.hints.roles:
-            return self._told(signal)
+            return self._hinted(signal)
         found = [
             c for c in self._free()
             if c.meaning.quantity == quantity and c.meaning.asked == asked and not c.meaning.aside
@@ -183,11 +183,11 @@ class _Recogniser:
         if self.hints.rate_hz is not None:
             return 1.0 / self.hints.rate_hz
         columns = list(self.columns.values())
-        told = self._told(TIME_S)
+        hinted = self._hinted(TIME_S)
         named = [c for c in columns if c.meaning.quantity == TIME and _rises(c.values)]
         first = columns[:1] if columns and columns[0].meaning.quantity is None and is_time(columns[0].values) else []
         anywhere = [c for c in columns if c.meaning.quantity is None and is_time(c.values)]
-        found = next(iter([told] if told else [*named, *first, *anywhere]), None)
+        found = next(iter([hinted] if hinted else [*named, *first, *anywhere]), None)
         if found is None:
             if self.source.period_s is not None:
                 self.remarks.append(f"no column of time: {1.0 / self.source.period_s:.6g} Hz, as the file declares")
@@ -292,11 +292,11 @@ class _Recogniser:
         )
 
     def _counts(
-        self, wrap: float | None, velocity: _Column | None, slope: float | None, told: float | None
+        self, wrap: float | None, velocity: _Column | None, slope: float | None, given: float | None
     ) -> tuple[float, str]:
-        """Counts of a turn: as told, by a velocity whose unit is known, or one wrap."""
-        if told is not None:
-            return told, f"{told:g} counts a turn, as given"
+        """Counts of a turn: as given, by a velocity whose unit is known, or one wrap."""
+        if given is not None:
+            return given, f"{given:g} counts a turn, as given"
         if velocity is not None and velocity.unit in SPEED_UNITS and slope:
             found = SPEED_UNITS[velocity.unit] / abs(slope)
             whole = _likely_counts(found)
@@ -388,23 +388,23 @@ class _Recogniser:
         )
 
     def _reference_encoder(self) -> None:
-        """A second sensor of the position: as told, or the column of its own name."""
+        """A second sensor of the position: as given, or the column of its own name."""
         position = self.guesses.get(POSITION_REV)
-        told = self._told(ENCODER_REV) if ENCODER_REV in self.hints.roles else self.columns.get(ENCODER_REV)
-        if told is None or position is None:
+        hinted = self._hinted(ENCODER_REV) if ENCODER_REV in self.hints.roles else self.columns.get(ENCODER_REV)
+        if hinted is None or position is None:
             return
-        one, other = self._running(told), self._running(self.columns[position.column])
+        one, other = self._running(hinted), self._running(self.columns[position.column])
         found = relation(one - one.mean(), other - other.mean())
         if abs(found.correlation) < LIKE:
             self._refuse(
-                f"no reference encoder ({told.name!r} does not follow {position.column!r})", "--reference-encoder"
+                f"no reference encoder ({hinted.name!r} does not follow {position.column!r})", "--reference-encoder"
             )
-        own = position.factor / found.slope  # the scale of the position: what is left of it is told by the data
-        if told.unit is not None and UNITS[told.unit].measures == ANGLE:
-            own = math.copysign(UNITS[told.unit].factor, found.slope)
+        own = position.factor / found.slope  # the scale of the position: the rest of it follows from the data
+        if hinted.unit is not None and UNITS[hinted.unit].measures == ANGLE:
+            own = math.copysign(UNITS[hinted.unit].factor, found.slope)
         evidence = f"r = {found.correlation:.6f} with {position.column!r}" + (", sign reversed" if own < 0.0 else "")
         self.guesses[ENCODER_REV] = Guess(
-            ENCODER_REV, told.name, told.unit or "-", own, wrap_of(told.values), None, evidence, True
+            ENCODER_REV, hinted.name, hinted.unit or "-", own, wrap_of(hinted.values), None, evidence, True
         )
 
     # references

@@ -68,6 +68,6 @@ def source_of_arrays(
     usual = max(set(sizes), key=lambda size: (sizes.count(size), size))
     left += [f"{name!r} has {v.size} samples, the others {usual}" for name, v in vectors.items() if v.size != usual]
     kept = {name: np.ascontiguousarray(column) for name, column in vectors.items() if column.size == usual}
-    told = (*remarks, *(f"left out: {text}" for text in left))
+    all_remarks = (*remarks, *(f"left out: {text}" for text in left))
     units = {name: unit for name in kept if (unit := split_name(name)[1])}
-    return Source(path, kept, units, period_s, scalars, told)
+    return Source(path, kept, units, period_s, scalars, all_remarks)

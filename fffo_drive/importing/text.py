@@ -1,6 +1,6 @@
 """Text of numbers: any delimiter, decimal comma, metadata and unit lines, with or without names; TwinCAT Scope too.
 
-The layout is told from the lines themselves: of all pairs of delimiter and decimal sign the one that reads the most
+The layout follows from the lines themselves: of all pairs of delimiter and decimal sign the one that reads the most
 numbers. pyarrow's parser does the work.
 """
 
@@ -24,7 +24,7 @@ from ..recording.unpack import gunzipped
 from .source import Floats, Source
 from .units import split_name, time_scale, unit_of
 
-SAMPLE_LINES = 400  # that the layout is told from
+SAMPLE_LINES = 400  # from which the layout is recognised
 DELIMITERS = ("\t", ";", ",", "|", " ")  # " ": any run of blanks
 MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"}
 WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0}

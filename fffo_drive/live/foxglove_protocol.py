@@ -86,26 +86,26 @@ def server_info(name: str, session: str) -> str:
 
 def advertise(channels: Iterable[Channel]) -> str:
     """These topics exist."""
-    told = [
+    entries = [
         {
             "id": c.id, "topic": c.topic, "encoding": c.encoding, "schemaName": c.schema_name,
             "schemaEncoding": c.schema_encoding, "schema": c.schema,
         }
         for c in channels
     ]  # fmt: skip
-    return _text("advertise", channels=told)
+    return _text("advertise", channels=entries)
 
 
 def advertise_services(services: Iterable[AdvertisedService]) -> str:
     """These services exist."""
-    told = [
+    entries = [
         {
             "id": s.id, "name": s.name, "type": s.type,
             "request": _schema(f"{s.type}_Request", s.request), "response": _schema(f"{s.type}_Response", s.response),
         }
         for s in services
     ]  # fmt: skip
-    return _text("advertiseServices", services=told)
+    return _text("advertiseServices", services=entries)
 
 
 def _schema(name: str, schema: Mapping[str, Any]) -> dict[str, str]:

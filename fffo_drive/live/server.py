@@ -94,11 +94,11 @@ class LiveServer:
     @property
     def greeting(self) -> str:
         """One line for the log."""
-        told = [f"the scope is on {self.url}"] if self.url else []
-        told += [f"Foxglove connects to {self.viewers_url}"] if self.viewers_url else []
+        sentences = [f"the scope is on {self.url}"] if self.url else []
+        sentences += [f"Foxglove connects to {self.viewers_url}"] if self.viewers_url else []
         addresses = (self.wanted.scope, self.wanted.viewers) if in_unit() else ()
-        told += [text for address in addresses if address and (text := sandbox_problem(address))]
-        return "; ".join((*told, "fffo-drive scope gives the addresses with the key"))
+        sentences += [text for address in addresses if address and (text := sandbox_problem(address))]
+        return "; ".join((*sentences, "fffo-drive scope gives the addresses with the key"))
 
     def _files(self) -> list[tuple[str, str, int]]:
         urls = [(URL_FILE, self.url, URL_MODE), (VIEWERS_FILE, self.viewers_url, URL_MODE)]

@@ -160,9 +160,9 @@ class Viewers:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """An event of the control API."""
-        told = m.event_of(event)
-        self._tell(EVENT_TOPIC, encode_event(told), told.time_ns)
-        self._tell(m.LOG_TOPIC, m.log_payload(told), told.time_ns)
+        message = m.event_of(event)
+        self._tell(EVENT_TOPIC, encode_event(message), message.time_ns)
+        self._tell(m.LOG_TOPIC, m.log_payload(message), message.time_ns)
 
     def _tell(self, topic: str, payload: bytes, time_ns: int) -> None:
         """Send one message to all subscribers of its topic."""

@@ -104,8 +104,8 @@ class Run:
         if sizes and {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
             ran = np.unique(self.rows["profile_number"][self.rows["profile_sample"] >= 0])
             return int(sizes[int(ran[0])]["samples"]) if ran.size == 1 and int(ran[0]) in sizes else None
-        told = self.metadata.get("profile_samples")
-        return None if told is None else int(told)
+        samples = self.metadata.get("profile_samples")
+        return None if samples is None else int(samples)
 
     def describe(self) -> dict[str, Any]:
         """The recording in one JSON object."""
@@ -159,19 +159,19 @@ def read_head(path: Path | str) -> RunHead:
 
     Raises RecordingError when it is no MCAP file, OSError when it cannot be opened.
     """
-    told: dict[str, str] = {}
+    header: dict[str, str] = {}
     attachments: dict[str, Attachment] = {}
     with Path(path).open("rb") as file, contextlib.suppress(DamagedRecordError):
         for record in Scanner(file, str(path)):
             if record.opcode == Opcode.METADATA:
                 metadata = parse(Metadata.read, record.body)
-                told |= metadata.metadata if metadata.name == METADATA_NAME else {}
+                header |= metadata.metadata if metadata.name == METADATA_NAME else {}
             elif record.opcode == Opcode.ATTACHMENT:
                 attachment = parse(AttachmentRecord.read, record.body)
                 attachments[attachment.name] = Attachment(attachment.name, attachment.media_type, attachment.data)
             elif record.opcode == Opcode.CHUNK:
-                return RunHead(told, attachments, int.from_bytes(record.body[:8], "little"))
-    return RunHead(told, attachments, None)
+                return RunHead(header, attachments, int.from_bytes(record.body[:8], "little"))
+    return RunHead(header, attachments, None)
 
 
 def read_metadata(path: Path | str) -> dict[str, str]:

@@ -77,8 +77,8 @@ class RunRecord(NamedTuple):
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON output."""
-        told = self._asdict()
-        return json_object(json_text({**told, "names": list(self.by_name), "values": list(self.values)}))
+        fields = self._asdict()
+        return json_object(json_text({**fields, "names": list(self.by_name), "values": list(self.values)}))
 
 
 def encode_record(record: RunRecord) -> bytes:

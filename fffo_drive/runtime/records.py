@@ -109,9 +109,9 @@ def of_word(kind: RecordKind, value: int) -> Unnumbered:
 
 def of_request(who: str, what: str, values: Mapping[str, Any], epoch: int | None) -> Unnumbered:
     """A request and its sender. Long texts (a model has its own record) are replaced by their digest."""
-    told = {} if epoch is None else {"epoch": epoch}
+    epoch_entry = {} if epoch is None else {"epoch": epoch}
     short = {name: _shortened(value) for name, value in values.items()}
-    return Unnumbered(0, RecordKind.REQUEST, (), (), {"who": who, "what": what, "values": short, **told})
+    return Unnumbered(0, RecordKind.REQUEST, (), (), {"who": who, "what": what, "values": short, **epoch_entry})
 
 
 def _shortened(value: Any) -> Any:

@@ -153,7 +153,7 @@ def record_live(
 
 def _hear_out(session: Session, recorder: Recorder, started: bool) -> str:
     """The drive's description if a run did not end as planned, also recorded. The drive is disabled first."""
-    statusword = session.telling_statusword  # before anything is changed
+    statusword = session.stop_statusword  # before anything is changed
     session.request(b.GOAL, GOAL_DISABLED)
     trip = session.status(b.TRIP)
     if started and trip == TRIP_NONE:

@@ -112,8 +112,8 @@ class Session:
         ]
         if config.model is not None:
             first.insert(1, records.of_model(0, config.model))
-        for told in first:
-            with self._recorded(told):
+        for record in first:
+            with self._recorded(record):
                 pass
 
     def __enter__(self) -> Session:
@@ -143,7 +143,7 @@ class Session:
         return load_acquire(self.blocks.status, word)
 
     @property
-    def telling_statusword(self) -> int:
+    def stop_statusword(self) -> int:
         """The statusword that explains why the axis stopped: of the tick of the trip, else the last one."""
         return self.status(b.STATUSWORD if self.status(b.TRIP) == TRIP_NONE else b.TRIP_STATUSWORD)
 
@@ -175,8 +175,8 @@ class Session:
     def start_profile(self, profile: Profile) -> int:
         """Request a profile; it starts once the drive is enabled. Return its number."""
         require_room(self.blocks, profile)
-        told = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
-        with self._asking, self._recorded(told._replace(number=self._next(b.PROFILE_NUMBER))):
+        record = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
+        with self._asking, self._recorded(record._replace(number=self._next(b.PROFILE_NUMBER))):
             return publish_profile(self.blocks, profile)
 
     def set_point(self, set_point: SetPoint) -> int:
@@ -188,10 +188,10 @@ class Session:
         return int(self.blocks.control[word]) + 1
 
     @contextmanager
-    def _recorded(self, told: Unnumbered) -> Iterator[None]:
+    def _recorded(self, record: Unnumbered) -> Iterator[None]:
         """Write a record before the change that it describes, then the number by which rows refer to it."""
         sequence = self._next(b.REQUEST_NUMBER)
-        self.records.add(RunRecord(0, sequence, *told))
+        self.records.add(RunRecord(0, sequence, *record))
         yield
         store_release(self.blocks.control, b.REQUEST_NUMBER, sequence)
         head = int(self.ring.words[HEAD])
@@ -245,7 +245,7 @@ class Session:
         Raises RealtimeRefusedError if the system refuses what the configuration requires.
         """
         if self.config.realtime_required:
-            require_realtime(self.config.realtime._replace(lock_memory=False))  # that is told by the thread itself
+            require_realtime(self.config.realtime._replace(lock_memory=False))  # the thread itself reports that
         self.compile()
         self._thread = threading.Thread(target=self._run, name="fffo-loop", daemon=True)
         self._thread.start()

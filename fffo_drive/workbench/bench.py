@@ -161,15 +161,15 @@ class Workbench:
         self._require(asker, METHODS[method].role)
         result = self.served.call(self.sockets(), asker, method, wish)
         if not (wish.get("renews") and wish.get("to_rps")):  # what renews a jog is no news, its end is
-            told = {name: value for name, value in wish.items() if name not in ("page", "epoch")}
-            self._told(asker, method, {"axis": told})
+            wanted = {name: value for name, value in wish.items() if name not in ("page", "epoch")}
+            self._log_action(asker, method, {"axis": wanted})
         return result
 
     def try_gain(self, asker: Asker, wish: Mapping[str, Any]) -> dict[str, Any]:
         """A step, a new gain, the same step. Raises ForbiddenError, DocumentError."""
         self._require(asker, "tune")
         trial = self.served.try_gain(self.sockets(), asker, wish)
-        self._told(asker, "try_gain", {"key": trial["key"], "value": trial["value"], "by_rps": trial["by_rps"]})
+        self._log_action(asker, "try_gain", {"key": trial["key"], "value": trial["value"], "by_rps": trial["by_rps"]})
         return trial
 
     def act(self, asker: Asker, name: str, wish: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,7 +187,7 @@ class Workbench:
         order = action.make(bench, wish)
         jobs = self.services.get(name, self.jobs)
         job = jobs.start(name, order.title, order.words, order.out, self._ended, action.computes)
-        self._told(asker, name, {"line": job.as_object()["line"]})
+        self._log_action(asker, name, {"line": job.as_object()["line"]})
         return job.as_object()
 
     def answer(self, asker: Asker, wish: Mapping[str, Any]) -> None:
@@ -197,7 +197,7 @@ class Workbench:
             raise DocumentError("this question is not open any more: nothing was answered")
         self._require(asker, ACTIONS[job.action].role)
         question = job.answer(wish.get("question"), wish.get("answer"))
-        self._told(asker, "answer", {"job": job.title, "checks": question["checks"], "answer": wish["answer"]})
+        self._log_action(asker, "answer", {"job": job.title, "checks": question["checks"], "answer": wish["answer"]})
 
     def cancel(self, asker: Asker, service: Any = None) -> None:
         """Interrupt the job that runs, or a service of this name. Raises ForbiddenError."""
@@ -205,7 +205,7 @@ class Workbench:
         job = (self.services[service] if service in list(self.services) else self.jobs).running
         if job is not None:
             job.cancel()
-            self._told(asker, "cancel", {"job": job.title})
+            self._log_action(asker, "cancel", {"job": job.title})
 
     def close(self) -> None:
         """Cancel what runs, and wait for it."""
@@ -218,7 +218,7 @@ class Workbench:
         self._require(asker, "tune")
         bench = Bench(self.directory, self._axis, self._facts, self._given)
         self._axis = known_axis(bench, path, list(shelf.axis_files(self.directory, self._first)))
-        self._told(asker, "use_axis", {"path": path})
+        self._log_action(asker, "use_axis", {"path": path})
 
     def take(self, asker: Asker, name: str, content: bytes) -> None:
         """A file that a page sends: a recording, or the facts of its drive. Raises ForbiddenError, DocumentError."""
@@ -238,16 +238,16 @@ class Workbench:
         target.write_bytes(content)
         if path.suffix in (".yaml", ".yml"):
             self._facts = target
-        self._told(asker, "take", {"file": name, "bytes": len(content)})
+        self._log_action(asker, "take", {"file": name, "bytes": len(content)})
 
     def _require(self, asker: Asker, needed: Role) -> None:
         if not may(asker.role, needed):
             raise ForbiddenError(REFUSED.format(needed=needed, role=asker.role))
 
     def _ended(self, job: Job) -> None:
-        self._told(None, "ended", {"job": job.title, "state": job.state, "exit_code": job.exit_code})
+        self._log_action(None, "ended", {"job": job.title, "state": job.state, "exit_code": job.exit_code})
 
-    def _told(self, asker: Asker | None, what: str, more: Mapping[str, Any]) -> None:
+    def _log_action(self, asker: Asker | None, what: str, more: Mapping[str, Any]) -> None:
         """Who did what, and when: a line of DIR/workbench.log."""
         who = {} if asker is None else {"role": asker.role} | ({"name": asker.name} if asker.name else {})
         entry = {"time": time.strftime("%Y-%m-%dT%H:%M:%S%z"), **who, "action": what, **more}

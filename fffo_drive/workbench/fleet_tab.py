@@ -29,11 +29,11 @@ def fleet_state(store: str, axis: Path | None) -> dict[str, Any]:
         from ..fleet.store import FleetStore, status_object
     except ImportError as error:
         raise DocumentError(f"fleet needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
-    told = status_object(FleetStore(store))
-    names = [row["drive"] for row in told["by_drive"]]
+    status = status_object(FleetStore(store))
+    names = [row["drive"] for row in status["by_drive"]]
     own = next((name for name in _own_names(axis) if name in names), "")
-    shown = sorted(told["by_drive"], key=lambda row: row["drive"] != own)[:LISTED]
-    return told | {"own": own, "by_drive": shown, "failures": told["failures"][:LISTED]}
+    shown = sorted(status["by_drive"], key=lambda row: row["drive"] != own)[:LISTED]
+    return status | {"own": own, "by_drive": shown, "failures": status["failures"][:LISTED]}
 
 
 def _own_names(axis: Path | None) -> list[str]:

@@ -95,8 +95,8 @@ class Job:
                     self._questions += 1
                     self.question = {"number": self._questions, **json.loads(line[len(QUESTION_MARK) :])}
                 elif line.startswith(LINE_MARK):
-                    told = json.loads(line[len(LINE_MARK) :])
-                    self.share, self.step = told["share"], told["text"]
+                    progress = json.loads(line[len(LINE_MARK) :])
+                    self.share, self.step = progress["share"], progress["text"]
                 else:
                     self.lines.append(line.rstrip("\n"))
 

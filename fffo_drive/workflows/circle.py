@@ -73,12 +73,14 @@ class Closed(NamedTuple):
 def close_the_loop(
     axis_path: Path, out: Path, wish: CircleWish = AS_THE_FILE_SAYS, *, facts: Path | None = None, quick: bool = False,
     say: Callable[[str], None] = lambda _text: None, bar: Bar = no_bar, diagnose: Diagnose | None = None,
+    show_gates: Callable[[Sequence[Gate]], None] = lambda _gates: None,
 ) -> Closed:  # fmt: skip
     """Go round once. **A drive on a bus moves.** `axis_path` stays as it is; everything is written to `out`.
 
     `facts`: what is declared about the drive (None: from the axis file). `quick`: runs of QUICK_S and no recipe. `say`
-    gets messages, `bar` shows progress, `diagnose` is called in place of `diagnose_recordings`. Raises DocumentError,
-    DriveError, and DriveFaultError also if the machine keeps no rate.
+    gets messages, `bar` shows progress, `diagnose` is called in place of `diagnose_recordings`, `show_gates` gets the
+    gates before the axis runs with the model. Raises DocumentError, DriveError, and DriveFaultError also if the
+    machine keeps no rate.
     """
     plan = make_plan(axis_path)
     _require(plan, wish, facts)
@@ -93,7 +95,7 @@ def close_the_loop(
     plan = make_plan(own_path)
     try:
         with _drive_process(plan, wish, out):
-            return _close(circle, plan, facts_path, quick, diagnose or _diagnose)
+            return _close(circle, plan, facts_path, quick, diagnose or _diagnose, show_gates)
     except SpoiledRunError as error:
         raise keeps_no_rate(str(error)) from error
 
@@ -106,7 +108,10 @@ def keeps_no_rate(trouble: str) -> DriveFaultError:
     )
 
 
-def _close(circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: Diagnose) -> Closed:
+def _close(
+    circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: Diagnose,
+    show_gates: Callable[[Sequence[Gate]], None],
+) -> Closed:  # fmt: skip
     """Runs, diagnosis, adoption, the run with it, the report."""
     out, say = circle.out, circle.say
     say("run and record: the file's profile, identification current, " + ("another one" if quick else "recipe"))
@@ -130,6 +135,7 @@ def _close(circle: Circle, plan: Plan, facts_path: Path, quick: bool, diagnose: 
         say("the loop is not stable with the friction of two surfaces: diagnose again with one")
         circle.path.write_text(as_given, encoding="utf-8")
         model, report, adopted, found = adopt_without(SECOND_SURFACE)
+    show_gates(found)
     after, trouble = None, ""
     if adopted:
         say("adopted; run again")

@@ -67,11 +67,11 @@ def recognised_logs(
     return [recognised(source, hints) for source in sources]
 
 
-def _not_in(source: Source, hints: Hints, told: dict[str, Any]) -> list[tuple[str, str]]:
+def _not_in(source: Source, hints: Hints, mapping: dict[str, Any]) -> list[tuple[str, str]]:
     """(key, what is wrong) of the columns that a map names and a log does not have, where nobody said otherwise."""
-    roles = {key: name for key, name in (told.get("roles") or {}).items() if name and hints.roles.get(key) == name}
+    roles = {key: name for key, name in (mapping.get("roles") or {}).items() if name and hints.roles.get(key) == name}
     named = [(f"roles.{key}", name) for key, name in roles.items()]
-    named += [(f"units.{name}", name) for name in told.get("units") or {} if name not in roles.values()]
+    named += [(f"units.{name}", name) for name in mapping.get("units") or {} if name not in roles.values()]
     return [
         (key, f"{source.path} has no column {name!r}: {did_you_mean(name, source.columns)}")
         for key, name in named

@@ -48,7 +48,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
 
 
 def _columns_not_in(log: str | Path, facts: DriveFacts) -> list[tuple[str, str]]:
-    """(key, what is wrong) of `columns` that name none of a table. What cannot be read is told by who reads it all."""
+    """(key, what is wrong) of `columns` that name none of a table. An unreadable log is reported by its reader."""
     mapping = facts.column_map()
     if mapping is None or str(log).endswith(RECORDINGS):
         return []

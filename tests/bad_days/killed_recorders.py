@@ -49,23 +49,23 @@ def record_for_ever(directory: Path, progress: int) -> None:
 def kill_one(directory: Path, seed: int) -> int:
     """Returns the rows that were in the ring when it died."""
     chance = random.Random(seed)
-    told, progress = os.pipe()
+    reading, progress = os.pipe()
     child = os.fork()
     if child == 0:
-        os.close(told)
+        os.close(reading)
         record_for_ever(directory, progress)
     os.close(progress)
     turns = 0
     while turns < chance.randrange(1, 140):
-        turns += len(os.read(told, 1))
+        turns += len(os.read(reading, 1))
     until_ns = time.monotonic_ns() + chance.randrange(2_000_000)  # into the middle of a write, a rename, an fsync
     while time.monotonic_ns() < until_ns:
         pass
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    while rest := os.read(told, 4096):
+    while rest := os.read(reading, 4096):
         turns += len(rest)
-    os.close(told)
+    os.close(reading)
     return turns * TURN_ROWS
 
 

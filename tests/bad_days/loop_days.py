@@ -1,4 +1,4 @@
-"""The bad days of the loop, each a script for `world.World`, and what is told of them. `run_all` runs interpreted."""
+"""The bad days of the loop, each a script for `world.World`, and what is reported. `run_all` runs interpreted."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ DAYS = (
 )  # fmt: skip
 
 
-def told(day: Day) -> dict[str, object]:
+def reported(day: Day) -> dict[str, object]:
     """What the tests want to know."""
     world, rows = day.world, day.rows
     ages = rows["velocity_age"].astype(int)
@@ -243,7 +243,7 @@ def run_all() -> list[dict[str, object]]:
         world = World()
         day(world)
         try:
-            found.append({"day": day.__name__, "happened": day.__doc__, **told(live(world, ticks=TICKS))})
+            found.append({"day": day.__name__, "happened": day.__doc__, **reported(live(world, ticks=TICKS))})
         finally:
             time.time, time.time_ns = clocks
     return found

@@ -10,7 +10,7 @@ from bad_input.table import HEAD, TABLE, row
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.mistake)
-def test_a_mistake_is_told_and_nothing_moves(case, tmp_path):
+def test_a_mistake_is_reported_and_nothing_moves(case, tmp_path):
     result = run_case(case, tmp_path)
     assert result.code == case.code, result.message
     for part in case.said:

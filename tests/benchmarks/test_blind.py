@@ -98,9 +98,9 @@ def test_a_wave_counts_with_its_order_alone_and_strong_waves_of_many_periods_are
     assert score.summarise(drives).waves[:2] == (1, 2)
 
 
-def test_a_missed_effect_is_silent_where_no_rest_is_told():
+def test_a_missed_effect_is_silent_where_no_rest_is_reported():
     missed = scored([effect()], [finding("quadratic_drag")])
-    told = score.score_drive(
+    with_rest = score.score_drive(
         truth([effect()]),
         {
             "verdict": "nothing_carries_over", "effects": [], "seconds": 20.0, "process": {"cpu_s": 30.0},
@@ -110,10 +110,11 @@ def test_a_missed_effect_is_silent_where_no_rest_is_told():
         },
         1.0,
     )  # fmt: skip
-    assert [drive.silent for drive in (missed, told, scored([effect()], [finding("cogging")]))] == [True, False, False]
-    assert (missed.seconds, told.seconds) == (20.0, 15.0)  # half of the processor's time, where it was taken
-    assert told.torque_percent == (20.0, 20.0)  # no model is offered: all is as it was
-    assert score.summarise([missed, told]).silent[:2] == (1, 2)
+    found = scored([effect()], [finding("cogging")])
+    assert [drive.silent for drive in (missed, with_rest, found)] == [True, False, False]
+    assert (missed.seconds, with_rest.seconds) == (20.0, 15.0)  # half of the processor's time, where it was taken
+    assert with_rest.torque_percent == (20.0, 20.0)  # no model is offered: all is as it was
+    assert score.summarise([missed, with_rest]).silent[:2] == (1, 2)
 
 
 def test_a_form_of_the_friction_is_no_finding_and_is_counted_apart():

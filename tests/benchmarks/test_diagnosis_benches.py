@@ -147,7 +147,7 @@ print(json.dumps({"outcomes": [j.outcome for j in judged], "kinds": sorted(SERVE
 """
 
 
-def test_without_the_curve_of_its_kind_another_axis_or_a_told_rest_is_right_and_a_law_is_wrong():
+def test_without_the_curve_of_its_kind_another_axis_or_a_reported_rest_is_right_and_a_law_is_wrong():
     found = said(JUDGED)
     assert found["outcomes"] == ["right axis", "wrong", "wrong", "residual reported", "residual reported", "silent"]
     assert found["kinds"]
@@ -211,7 +211,7 @@ def test_an_ablation_counts_the_drives_whose_answer_changes():
     found = said(ABLATED)
     assert [found[name]["changed"] for name in ("all on", "drop", "swap")] == [0, 1, 0]
     assert [found[name]["false"] for name in ("all on", "drop", "swap")] == [0, 1, 0]
-    assert "swap" in found["notes"][0]  # what could not be switched off is told
+    assert "swap" in found["notes"][0]  # what could not be switched off is reported
 
 
 COMPARED = """
@@ -233,14 +233,14 @@ drives = [DriveFolder(name, pathlib.Path(name), {"effects": []}) for name in "ab
 said = [(ours(1.0, 0.9), theirs(0.97, 2.0)), (ours(1.0, 0.9), theirs(2.0, 0.5)),
         (ours(1.0, 0.9, {"rms_nm": 1.0}), theirs(0.5, 2.0))]
 report = peers_report(drives, said)
-print(json.dumps({"near": report.facts["near"], "untold": report.facts["untold"], "text": report.markdown()}))
+print(json.dumps({"near": report.facts["near"], "silent": report.facts["silent"], "text": report.markdown()}))
 """
 
 
-def test_a_peer_that_is_better_by_more_than_our_interval_must_be_told():
+def test_a_peer_that_is_better_by_more_than_our_interval_must_be_reported():
     found = said(COMPARED)
     assert found["near"] == 1  # 1.0 is within 1.05 times 0.97
-    assert found["untold"] == 1  # of the two drives with a better peer one says that something is left
+    assert found["silent"] == 1  # of the two drives with a better peer one says that something is left
     assert "peer 0 | 3.0" in found["text"]
 
 

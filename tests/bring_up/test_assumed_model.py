@@ -1,4 +1,4 @@
-"""What commissioning says of a model that nobody has measured: its numbers are told, and are no reason to fail."""
+"""What commissioning says of a model that nobody has measured: its numbers are reported, and are no reason to fail."""
 
 from __future__ import annotations
 

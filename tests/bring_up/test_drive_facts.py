@@ -106,7 +106,7 @@ def test_the_unit_of_the_rated_torque_is_the_one_that_says_what_was_given():
     assert "rated_torque_unit" not in facts_of(plain_drive(), rated_torque_nm=1.0).section
 
 
-def test_a_drive_that_was_not_told_its_motor_is_told_by_the_axis_file(tmp_path):
+def test_a_drive_that_was_not_told_its_motor_gets_it_from_the_axis_file(tmp_path):
     objects = plain_drive({(0x6076, 0): u32(0), (0x6075, 0): u32(0)})
     assert facts_of(objects).writes == {}
     facts = facts_of(objects, rated_torque_nm=1.25, rated_current_a=5.0)

@@ -69,7 +69,7 @@ def test_an_answer_that_is_lost_makes_a_second_scan_with_more_patience():
     assert max(patience for request, patience in bus.asked if request[0] == 0x51) == 0.2
 
 
-def test_a_drive_that_answers_and_confirms_no_address_is_told():
+def test_a_drive_that_answers_and_confirms_no_address_is_reported():
     def ask(request, patience_s):
         command, _, bit, _, _ = struct.unpack("<BIBBB", request)
         return [bytes([0x4F]).ljust(8, b"\0")] if command == 0x51 and bit == 0x80 else []
@@ -88,7 +88,7 @@ def test_an_id_is_given_to_one_drive_alone_and_kept():
     assert bus.rigs[1].send("000#812A") == ["72A#00"]  # it was stored
 
 
-def test_what_does_not_take_an_id_is_told_and_left_waiting():
+def test_what_does_not_take_an_id_is_reported_and_left_waiting():
     bus = LssBus((0x11, 1, 2, 3))
     master = LssMaster(bus.ask)
     with pytest.raises(DriveRefusedError, match="does not answer LSS any more"):

@@ -95,13 +95,13 @@ class Drive(ScriptedNode):
 
 
 class Person:
-    """Reads what is told and gives answers in their order; without answers nobody is there."""
+    """Reads what is printed and gives answers in their order; without answers nobody is there."""
 
     def __init__(self, *answers):
-        self.answers, self.told, self.questions = list(answers), [], []
+        self.answers, self.printed, self.questions = list(answers), [], []
 
     def tell(self, text):
-        self.told.append(text)
+        self.printed.append(text)
 
     def progress(self, share):
         assert 0.0 <= share <= 1.0
@@ -193,7 +193,7 @@ def test_a_drive_that_does_not_answer_sync_cannot_be_measured(bus, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "failures"),
     [
         (
             {(0x6041, 0): b"\x18\x02", (0x603F, 0): b"\x20\x32", (0x1001, 0): b"\x05"},
@@ -212,11 +212,11 @@ def test_a_drive_that_does_not_answer_sync_cannot_be_measured(bus, tmp_path):
         ),
     ],
 )
-def test_what_stands_in_the_way_is_told_and_the_file_is_written_all_the_same(bus, tmp_path, changes, told):
+def test_what_stands_in_the_way_is_reported_and_the_file_is_written_all_the_same(bus, tmp_path, changes, failures):
     with Drive(bus, objects=drive_objects(changes=changes)):
         report = bring_up_axis(wishes(bus), Person())
-    assert said(report, "failure") == told
-    problems = "1 problem" if len(told) == 1 else f"{len(told)} problems"
+    assert said(report, "failure") == failures
+    problems = "1 problem" if len(failures) == 1 else f"{len(failures)} problems"
     assert report.verdict.startswith(f"NOT READY: {problems} at node 5")
     assert command.exit_code(report) == 70
     assert make_plan(report.axis_file).axis.drive.node_id == NODE
@@ -350,7 +350,7 @@ def test_what_a_drive_tells_and_no_axis_file_can_hold_is_named(bus):
     assert list(Path.cwd().iterdir()) == []
 
 
-def test_a_node_that_only_beats_is_told(bus):
+def test_a_node_that_only_beats_is_reported(bus):
     beat = threading.Event()
 
     def stopped_node():

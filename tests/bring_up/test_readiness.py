@@ -1,4 +1,4 @@
-"""What stands between a drive and Operation Enabled: each state, each input, in the words that are told."""
+"""What stands between a drive and Operation Enabled: each state, each input, in the words that are reported."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def chain(period_s, host_s=60e-6):
 def test_the_chain_of_a_period():
     steps = chain(500e-6).steps
     assert [step.name for step in steps] == [
-        "SYNC", "drive turnaround", "TPDO1", "host", "RPDO1", "a frame in the way"
+        "SYNC", "drive turnaround", "TPDO1", "host", "RPDO1", "blocking frame"
     ]  # fmt: skip
     assert chain(500e-6).worst_s == pytest.approx((55 + 50 + 135 + 60 + 95 + BLOCKING_BITS) * 1e-6)
     assert chain(500e-6).typical_s < chain(500e-6).worst_s

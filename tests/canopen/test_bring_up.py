@@ -102,11 +102,11 @@ def test_leaving_takes_the_torque_away_first(config):
     with ScriptedNode(config.bus, NODE) as node:
         drive = CanopenDrive(config)
         drive.connect()
-        mark, told = len(node.written), len(node.heard)
+        mark, seen = len(node.written), len(node.heard)
         drive.close()
         drive.close()
     assert node.written[mark:] == [(0x6071, 0, bytes(2)), (0x6040, 0, bytes(2)), (0x1016, 1, bytes(4))]
-    assert [(f.can_id, f.data) for f in node.heard[told : told + 2]] == [(0x205, bytes(4)), (0x080, b"")]
+    assert [(f.can_id, f.data) for f in node.heard[seen : seen + 2]] == [(0x205, bytes(4)), (0x080, b"")]
     assert node.commands[-1] == 0x80
 
 
@@ -121,7 +121,7 @@ def test_closing_without_a_drive_or_a_bus_never_raises(config):
 
 
 @pytest.mark.parametrize(
-    ("where", "told"),
+    ("where", "message"),
     [
         ((0x6060, 0), r"refuses mode 10 \(cyclic synchronous torque\).*0x6060:00"),
         ((0x1400, 1), r"refuses 0x1400:01 = .*disabling RPDO1"),
@@ -138,9 +138,9 @@ def test_closing_without_a_drive_or_a_bus_never_raises(config):
         ((0x605E, 0), r"refuses 0x605E:00 = 2 .*fault reaction"),
     ],
 )
-def test_a_refused_write_names_object_value_and_reason(config, where, told):
+def test_a_refused_write_names_object_value_and_reason(config, where, message):
     text = refusal(config, ScriptedNode(config.bus, NODE, refuse={where: RANGE}))
-    assert re.search(told, text), text
+    assert re.search(message, text), text
     assert "0x06090030" in text
     assert "node 5" in text
 

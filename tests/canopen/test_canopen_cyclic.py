@@ -436,7 +436,7 @@ def test_the_service_queue_is_bounded_and_goes_round():
     bench.close()
 
 
-def test_sends_are_known_so_that_drops_can_be_told(bench):
+def test_sends_are_known_so_that_drops_can_be_reported(bench):
     for _ in range(10):
         bench.sync()
         port_command(bench.port, 0, 0, 0.0)

@@ -92,7 +92,7 @@ def test_digital_inputs_have_the_names_of_cia_402(inputs, words):
     assert inputs_text(inputs) == f"0x60FD 0x{inputs:08X} ({words})"
 
 
-def test_everything_that_the_drive_has_is_told_and_a_drive_that_has_nothing_is_no_error(config):  # noqa: F811
+def test_everything_that_the_drive_has_is_reported_and_a_drive_that_has_nothing_is_no_error(config):  # noqa: F811
     objects = servo_dictionary(NODE) | {
         (0x1003, 0): b"\x04", (0x1003, 1): struct.pack("<I", 0x00127305), (0x1003, 2): struct.pack("<I", 0x3220),
         (0x1003, 3): struct.pack("<I", 0x8611), (0x1003, 4): struct.pack("<I", 0x2310), (0x603F, 0): bytes(2),
@@ -118,7 +118,7 @@ def at(seconds, code, register=0x01, vendor=bytes(5)):
     return Emergency(round(seconds * NS_PER_S), code, register, vendor)
 
 
-def test_of_a_burst_all_are_told_and_what_is_old_has_its_age():
+def test_of_a_burst_all_are_reported_and_what_is_old_has_its_age():
     heard = [at(1.0, 0x2310), at(50.0, 0x3220), at(50.2, 0x8611), at(50.3, 0), at(50.4, 0xFF00)]
     now_ns = round(50.5 * NS_PER_S)
     codes = [text.split()[1] for text in burst_text(heard, (0xFF00,), now_ns)]
@@ -133,23 +133,23 @@ def test_an_emergency_without_an_error_in_its_register_names_the_key_for_warning
     assert "warning_codes" not in burst_text([at(1.0, 0xFF00, 1)], (), NS_PER_S)[0]
 
 
-def test_a_warning_is_told_once_and_the_same_one_several_times_in_one_sentence():
+def test_a_warning_is_reported_once_and_the_same_one_several_times_in_one_sentence():
     news = WarningNews((0xFF00,))
     heard = [at(1.0, 0xFF00, 0), at(1.1, 0xFF00, 0), at(1.2, 0x8611)]
-    told = news.look(heard, 0x1237, round(1.3 * NS_PER_S))
-    assert len(told) == 1
-    assert "EMCY 0xFF00" in told[0]
-    assert told[0].endswith("(2 times)")
+    reported = news.look(heard, 0x1237, round(1.3 * NS_PER_S))
+    assert len(reported) == 1
+    assert "EMCY 0xFF00" in reported[0]
+    assert reported[0].endswith("(2 times)")
     assert news.look(heard, 0x1237, round(3.0 * NS_PER_S)) == []
     heard.append(at(3.1, 0xFF00, 0))
     assert len(news.look(heard, 0x1237, round(3.2 * NS_PER_S))) == 1
 
 
-def test_the_warning_bit_is_told_when_it_rises_and_a_flood_once_a_second():
+def test_the_warning_bit_is_reported_when_it_rises_and_a_flood_once_a_second():
     news = WarningNews(())
-    told = [news.look([], 0x12B7 if tick % 2 else 0x1237, round(tick * 0.04 * NS_PER_S)) for tick in range(251)]
-    counted = sum(map(len, told))
-    assert told[1] == ["the drive warns: statusword bit 7"]
+    reported = [news.look([], 0x12B7 if tick % 2 else 0x1237, round(tick * 0.04 * NS_PER_S)) for tick in range(251)]
+    counted = sum(map(len, reported))
+    assert reported[1] == ["the drive warns: statusword bit 7"]
     assert 9 <= counted <= 11  # in ten seconds
     steady = WarningNews(())
     assert sum(len(steady.look([], 0x12B7, round(tick * 0.04 * NS_PER_S))) for tick in range(250)) == 1
@@ -159,11 +159,11 @@ def test_the_warning_bit_is_told_when_it_rises_and_a_flood_once_a_second():
     st.lists(st.tuples(st.integers(0, 20_000), st.sampled_from([0, 0xFF00, 0xFF01, 0x8611])), max_size=40),
     st.lists(st.integers(0, 30_000), min_size=1, max_size=40),
 )
-def test_each_warning_is_told_exactly_once_whenever_it_is_looked_for(sent, looks):
+def test_each_warning_is_reported_exactly_once_whenever_it_is_looked_for(sent, looks):
     warnings = [at(1e-3 * ms + 1e-3, code, 0, bytes([n, 0, 0, 0, 0])) for n, (ms, code) in enumerate(sorted(sent))]
-    news, told = WarningNews((0xFF00, 0xFF01)), []
+    news, reported = WarningNews((0xFF00, 0xFF01)), []
     for look_ms in [*sorted(looks), 40_000]:
         now_ns = look_ms * 1_000_000
-        told += news.look([one for one in warnings if one.monotonic_ns <= now_ns], 0, now_ns)
+        reported += news.look([one for one in warnings if one.monotonic_ns <= now_ns], 0, now_ns)
     expected = {emergency_text(one) for one in warnings if one.code in (0xFF00, 0xFF01)}
-    assert sorted(text.removeprefix("the drive warns: ") for text in told) == sorted(expected)
+    assert sorted(text.removeprefix("the drive warns: ") for text in reported) == sorted(expected)

@@ -88,21 +88,21 @@ def on(bus: str, config: CanopenDriveConfig) -> CanopenDriveConfig:
 
 def brought_up(node: ScriptedNode, config: CanopenDriveConfig) -> str:
     """Empty, or the refusal; nothing may have been enabled by then."""
-    drive, told = CanopenDrive(config), ""
+    drive, refusal = CanopenDrive(config), ""
     with node:
         try:
             drive.connect()
             assert_safe(node, config)
-        except DriveRefusedError as refusal:
-            told = str(refusal)
+        except DriveRefusedError as error:
+            refusal = str(error)
         finally:
             drive.close()
     controlwords = [int.from_bytes(value, "little") for index, _, value in node.written if index == 0x6040]
     commands = [frame.data for frame in node.heard if frame.can_id == config.command.cob_id]
     assert not any(controlwords)
     assert not any(any(data) for data in commands)
-    assert "\n" not in told
-    return told
+    assert "\n" not in refusal
+    return refusal
 
 
 def assert_safe(node: ScriptedNode, config: CanopenDriveConfig) -> None:
@@ -145,10 +145,10 @@ def test_what_drive_info_approves_the_bring_up_does(
     path.write_text(eds_of(objects))
     fitness = fitness_of(read_eds(str(path), NODE), NODE)
     config = on(BUS, dataclasses.replace(config_of(fitness.section, NODE), period_ns=PERIOD_NS))
-    told = brought_up(Guarded(BUS, NODE, objects), config)
+    refusal = brought_up(Guarded(BUS, NODE, objects), config)
     left_to_the_drive = fitness.modes is None  # 0x6502 missing or 0: the file leaves it open, the drive may not
     if not (left_to_the_drive and not fitness.refusals):
-        assert bool(told) == bool(fitness.refusals), (told, fitness.refusals)
+        assert bool(refusal) == bool(fitness.refusals), (refusal, fitness.refusals)
 
 
 @pytest.mark.long
@@ -173,5 +173,5 @@ def test_a_drive_with_a_quirk_is_safe_or_refused_with_its_reason(
     elif quirk in objects:
         size = len(objects[quirk])
         node.keep = {quirk: bytes(size) if kind == "keeps zero" else b"\xff" * size}
-    told = brought_up(node, config)
-    assert not told or "0x" in told or "node" in told
+    refusal = brought_up(node, config)
+    assert not refusal or "0x" in refusal or "node" in refusal

@@ -239,6 +239,6 @@ def test_a_drive_that_does_not_tell_profile_and_modes(config):
     text = refusal(config, bare)
     assert "set drive.device_profile: null" in text
     assert "takes drive.modes_told: false" in text
-    known = dataclasses.replace(config, device_profile=None, modes_told=False)
+    known = dataclasses.replace(config, device_profile=None, modes_listed=False)
     with ScriptedNode(config.bus, NODE, bare), CanopenDrive(known) as drive:
         assert drive.identity is not None

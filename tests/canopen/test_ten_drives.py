@@ -40,7 +40,7 @@ IPOS_OBJECTS = {  # of the vendor's own, which the public file leaves out
 
 
 def fitness(name: str, folder: Path, base: dict[str, Any] | None = None) -> Fitness:
-    """What is told of a drive's file alone, or on top of a profile."""
+    """What is declared of a drive's file alone, or on top of a profile."""
     path = folder / f"{name}.eds"
     path.write_text(eds_of(shared_files(f"drives/{name}.yaml")[0]))
     return fitness_of(read_eds(str(path), NODE), NODE, base)
@@ -50,9 +50,9 @@ def brought_up(name: str, section: dict[str, Any]) -> str:
     """The refusal of the bring-up against the drive's own dictionary; empty when it comes up."""
     objects = described(shared_files(f"drives/{name}.yaml")[0])
     objects |= IPOS_OBJECTS if name == "ipos" else {}
-    for place, told in LEFT_TO_THE_DRIVE.items():
+    for place, default in LEFT_TO_THE_DRIVE.items():
         if not objects[place].get("default"):
-            objects[place] = {**objects[place], "default": told}
+            objects[place] = {**objects[place], "default": default}
     bus = f"loopback:{free_loopback_port()}"
     config = dataclasses.replace(
         config_of(section, NODE), bus=bus, listen_s=0.01, period_ns=PERIOD_NS, answer_timeout_s=1.0,
@@ -76,9 +76,9 @@ def test_the_ten_are_there() -> None:
 def test_a_drive_with_a_torque_mode_comes_up_with_what_its_file_proposes(name: str, tmp_path: Path) -> None:
     found = fitness(name, tmp_path)
     assert found.refusals == ()
-    told = brought_up(name, found.section)
+    refusal = brought_up(name, found.section)
     unset = "0x6076:00 is 0: the drive does not know the rating of its motor"
-    assert not told or unset in told  # of a drive that was never set up
+    assert not refusal or unset in refusal  # of a drive that was never set up
 
 
 @pytest.mark.parametrize("name", NO_TORQUE)
@@ -98,8 +98,8 @@ def test_the_profile_that_ships_brings_its_drive_up(name: str, profile: str, tmp
     keys = read_profile(shipped_profiles()[profile]).keys | OWN_KEYS.get(profile, {})
     if name != "ipos":  # its file leaves the vendor's objects out
         assert fitness(name, tmp_path, keys).refusals == ()
-    told = brought_up(name, {**keys, **RATINGS.get(name, {})})
-    assert not told or "0x6076:00 is 0: the drive does not know the rating" in told
+    refusal = brought_up(name, {**keys, **RATINGS.get(name, {})})
+    assert not refusal or "0x6076:00 is 0: the drive does not know the rating" in refusal
 
 
 @pytest.mark.parametrize("name", ["elmo_gold", "foc_mc", "ipos", "nanotec_cl4e", "roboteq"])
@@ -150,5 +150,5 @@ def test_a_profile_is_written_from_the_file_alone(name: str, tmp_path: Path) -> 
     path.write_text(eds_of(shared_files(f"drives/{name}.yaml")[0]))
     assert main(["drive-info", str(path), "--without-profile", "--profile", str(out)]) == 0
     keys = read_profile(out).keys
-    told = brought_up(name, {**keys, **RATINGS.get(name, {})})
-    assert not told or "0x6076:00 is 0" in told
+    refusal = brought_up(name, {**keys, **RATINGS.get(name, {})})
+    assert not refusal or "0x6076:00 is 0" in refusal

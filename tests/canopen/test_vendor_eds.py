@@ -63,7 +63,7 @@ def path_of(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", REMARKS)
-def test_what_is_untidy_is_told_with_its_line(name: str) -> None:
+def test_what_is_untidy_is_reported_with_its_line(name: str) -> None:
     assert [str(remark) for remark in read_eds(path_of(name), NODE).remarks] == REMARKS[name]
 
 
@@ -129,7 +129,7 @@ def test_repairs(tmp_path: Path, lines: str, said: str | None) -> None:
     assert (said in remarks) if said else not remarks
 
 
-def test_utf16_is_read_and_told(tmp_path: Path) -> None:
+def test_utf16_is_read_and_reported(tmp_path: Path) -> None:
     path = tmp_path / "x.eds"
     path.write_bytes(Path(path_of("no_torque")).read_text().encode("utf-16"))
     assert [str(remark) for remark in read_eds(str(path), NODE).remarks] == ["is UTF-16, not ASCII"]

@@ -52,7 +52,7 @@ def test_no_record_one_that_failed_and_one_of_other_facts_are_refused(tmp_path, 
     assert "rated_torque_nm was 1.2284, is 2.5" in capsys.readouterr().err
 
 
-def test_each_check_is_told_as_it_comes_with_the_motion_before_it(tmp_path, monkeypatch, capsys):
+def test_each_check_is_reported_as_it_comes_with_the_motion_before_it(tmp_path, monkeypatch, capsys):
     from pathlib import Path
 
     monkeypatch.setenv(LINES_ENVIRONMENT, "1")

@@ -78,8 +78,8 @@ def test_the_program_that_started_it_is_asked_in_lines_and_its_end_is_a_no(tmp_p
     monkeypatch.setattr("sys.stdin", io.StringIO("yes\nno\n"))
     ask = asking(axis_file(tmp_path))
     assert [ask(MOTION) for _ in range(3)] == [True, False, False]
-    told = capsys.readouterr().err.splitlines()
-    assert [json.loads(line.removeprefix(QUESTION_MARK)) for line in told] == [
+    questions = capsys.readouterr().err.splitlines()
+    assert [json.loads(line.removeprefix(QUESTION_MARK)) for line in questions] == [
         {"checks": ["motion", "torque_sign"], "text": MOTION.text}
     ] * 3
 
@@ -93,7 +93,7 @@ def test_a_drive_in_process_moves_nothing_and_is_not_asked_for():
     assert asking(CONFIGS / "axis_simulated.yaml")(MOTION)
 
 
-def test_one_count_and_the_bounds_are_told_before_anything_moves(tmp_path, capsys, terminal):
+def test_one_count_and_the_bounds_are_reported_before_anything_moves(tmp_path, capsys, terminal):
     main(["commission", str(axis_file(tmp_path)), *NO_BUS, "--out", str(tmp_path / "record.yaml")])
     said = capsys.readouterr().err
     assert "one per mille of 0x6071 is 0.0083 A (0.00123 Nm)" in said
@@ -146,7 +146,7 @@ def test_the_verdict_comes_first_and_the_table_reads_at_this_width(tmp_path, cap
     table = lines[4:]
     assert max(len(line.rstrip()) for line in table) <= width
     assert len(table) < 2.6 * len(CHECKS)
-    assert sum("not done: torque_sign failed" in line for line in table) == 1  # one cause is told once
+    assert sum("not done: torque_sign failed" in line for line in table) == 1  # one cause is reported once
     assert any("measured 0.004 s, ok is 0.00225 to 0.00325 s" in line for line in table)
 
 

@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from fffo_drive.cli import main
+from fffo_drive.cli.run import next_step
 from fffo_drive.config.adoption import (
     compensation_gate,
     gates,
@@ -34,10 +35,12 @@ from fffo_drive.config.effects import (
     services,
 )
 from fffo_drive.control.compensation import COUNT
+from fffo_drive.control.reference import MODE_CURRENT
 from fffo_drive.daemon.places import WATCH
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.table import Term
-from fffo_drive.model.parameters import EffectModel, Quantity, read_model, write_model
+from fffo_drive.model.parameters import EffectModel, Provenance, Quantity, read_model, write_model
+from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = read_axis(CONFIGS / "axis_simulated.yaml")
@@ -128,7 +131,7 @@ def test_what_is_not_explained_is_shown_and_does_not_refuse():
     assert "unexplained rest" not in {gate.name for gate in none}
 
 
-def test_a_strength_has_to_be_told_from_zero():
+def test_a_strength_has_to_differ_from_zero():
     assert interval_gate(effect()).passed
     assert interval_gate(effect()).text == (  # 0.004 and 0.003 over 2e-4
         "cos_nm = 0.004 +- 0.0002; all 2 strengths together: 25.0 standard deviations from zero, 2.8 needed"
@@ -242,6 +245,20 @@ def test_the_command_shows_its_gates_and_refuses_or_adopts(axis_path, capsys):
     assert main(["adopt", "--axis", str(axis_path)]) == 78
 
 
+def test_after_an_adoption_a_run_names_the_comparison_and_not_the_diagnosis_again(axis_path):
+    files = [Path("after.mcap")]
+    assert next_step(make_plan(axis_path), files).startswith("fffo-drive identify after.mcap --out DIR, or ")
+    put_in_service(axis_path, axis_path.parent / "found" / "model.yaml", [])
+    plan = make_plan(axis_path)
+    assert next_step(plan, files).startswith("fffo-drive evaluate --runs RUN_BEFORE_ADOPTION after.mcap ")
+    open_loop = plan._replace(profile=plan.profile._replace(mode=MODE_CURRENT))
+    assert "fffo-drive diagnose --fit after.mcap" in next_step(open_loop, files)
+    history_path(axis_path).write_text("{")  # damaged
+    assert "fffo-drive diagnose --fit after.mcap" in next_step(plan, files)
+    fitted = plan.model.model_copy(update={"provenance": Provenance(runs=["5c1f"])})
+    assert next_step(plan._replace(model=fitted), files).startswith("fffo-drive diagnose --fit after.mcap")
+
+
 def test_what_is_wrong_with_a_report_is_said(axis_path, capsys):
     model_path = axis_path.parent / "found" / "model.yaml"
     report = model_path.parent / "report.json"
@@ -259,7 +276,7 @@ def model_in(path, model):
     return path
 
 
-def told(capsys, words, code):
+def stderr_of(capsys, words, code):
     """The command ends with this code and one message, which is given back."""
     assert main(words) == code
     lines = capsys.readouterr().err.strip().splitlines()
@@ -274,7 +291,7 @@ def test_every_way_in_which_an_adoption_fails_has_its_message_and_code(axis_path
     model_path, axis = found / "model.yaml", ["--axis", str(axis_path)]
 
     def fails(model, code, *said, axis=axis):
-        message = told(capsys, ["adopt", str(model), *axis], code)
+        message = stderr_of(capsys, ["adopt", str(model), *axis], code)
         for part in said:
             assert part in message
         assert axis_path.read_text() == before
@@ -321,7 +338,7 @@ def test_where_a_diagnosis_wrote_no_model_adopt_says_why(axis_path, capsys):
     model_path.unlink()
     report = report_of() | {"verdict": "nothing_carries_over", "headline": "No finding carries over."}
     (model_path.parent / "report.json").write_text(json.dumps(report | {"kind": "diagnose"}))
-    said = told(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
+    said = stderr_of(capsys, ["adopt", str(model_path), "--axis", str(axis_path)], 78)
     assert "the diagnosis wrote no model: No finding carries over." in said
 
 

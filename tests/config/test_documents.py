@@ -154,7 +154,7 @@ class Sample(StrictRecord):
         ("- 1", "x:1: a mapping of keys to values is needed, this is a list"),
     ],
 )
-def test_a_wrong_value_is_told_with_what_is_needed_and_its_range(content, said):
+def test_a_wrong_value_is_reported_with_what_is_needed_and_its_range(content, said):
     data, lines = parse(content, "x")
     with pytest.raises(DocumentError) as caught:
         check(data, Sample, "x", lines)
@@ -177,11 +177,11 @@ def test_any_content_is_taken_or_refused_in_our_words(content):
     try:
         record = check(content, Sample, "x")
     except DocumentError as error:
-        told = str(error)
+        message = str(error)
     else:
-        told = ""
-    assert not any(word in told for word in LIBRARIES)
-    if told:
+        message = ""
+    assert not any(word in message for word in LIBRARIES)
+    if message:
         return
     for name, value in content.items():
         assert isinstance(value, bool) == isinstance(getattr(record, name), bool)

@@ -74,7 +74,7 @@ def test_rpm_are_coarse_against_the_observers_band(tmp_path, capsys):
     assert coarse_words(fine, model) == []
 
 
-def test_a_rated_torque_far_above_the_friction_is_told(tmp_path):
+def test_a_rated_torque_far_above_the_friction_is_reported(tmp_path):
     axis = axis_with(tmp_path)
     model = model_of(tmp_path / "axis.yaml", axis)
     large = axis.model_copy(update={"drive": axis.drive.model_copy(update={"rated_torque_nm": 12.0})})

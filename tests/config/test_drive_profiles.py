@@ -111,7 +111,7 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C has its own units"),
         ({"torque_feedback": {"object": 0x207E}}, "torque_feedback.units_per_a: 0x207E"),
@@ -121,8 +121,8 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
         ({"silence_detection": "hope"}, "silence_detection"),
     ],
 )
-def test_what_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, object], told: str) -> None:
-    with pytest.raises(DocumentError, match=told):
+def test_what_cannot_be_is_refused_by_key(tmp_path: Path, keys: dict[str, object], message: str) -> None:
+    with pytest.raises(DocumentError, match=message):
         read_axis(axis_file(tmp_path, **keys))
 
 

@@ -76,7 +76,7 @@ def test_a_value_out_of_range_names_the_range(tmp_path):
     assert "controller.proportional_a_per_rps: a number above 0 and up to 10000 is needed (got -1)" in text
 
 
-def test_a_wrong_type_is_told(tmp_path):
+def test_a_wrong_type_is_reported(tmp_path):
     text = errors_of(write(tmp_path, AXIS.replace("current_limit_a: 12", "current_limit_a: twelve")))
     assert "controller.current_limit_a" in text
     assert "'twelve'" in text
@@ -100,7 +100,7 @@ def test_the_drive_is_checked_by_its_kind(tmp_path):
     assert "drive.bus" in text
 
 
-def test_limits_contradicting_each_other_are_told(tmp_path):
+def test_limits_contradicting_each_other_are_reported(tmp_path):
     text = errors_of(write(tmp_path, AXIS.replace("continuous_current_a: 8.3", "continuous_current_a: 20")))
     assert "continuous_current_a must not exceed current_limit_a" in text
 
@@ -140,7 +140,7 @@ def test_a_rate_that_does_not_fit_the_bus_is_refused(tmp_path):
     assert any("loop.rate_hz" in text for text in bus_problems(axis, model_of(tmp_path / "a", axis)))
 
 
-def test_axes_of_two_nodes_on_one_bus_are_told(tmp_path, capsys):
+def test_axes_of_two_nodes_on_one_bus_are_reported(tmp_path, capsys):
     first = write(tmp_path, BUS, "first.yaml")
     variant = write(tmp_path, BUS.replace("name: bench", "name: other"), "variant.yaml")  # of the same drive
     second = write(tmp_path, BUS.replace("node_id: 1", "node_id: 2"), "second.yaml")
@@ -220,7 +220,7 @@ def test_every_key_of_a_schema_has_a_description(kind):
         ("'[2001:db8::1]:8700'", ["IPAddressAllow=", "AF_INET6"]),
     ],
 )
-def test_an_address_that_the_units_sandbox_closes_is_told(tmp_path, capsys, listen, needed):
+def test_an_address_that_the_units_sandbox_closes_is_reported(tmp_path, capsys, listen, needed):
     unit = (CONFIGS.parent / "systemd" / "fffo-drive@.service").read_text()
     assert "\nIPAddressDeny=any\nIPAddressAllow=localhost\n" in unit
     assert "\nRestrictAddressFamilies=AF_CAN AF_UNIX AF_INET\n" in unit

@@ -191,8 +191,8 @@ def never_says(bits: int) -> Prepare:
     """From now on the drive's statusword lacks these bits; it obeys all the same."""
 
     def change(world: FaultWorld) -> None:
-        told = world.node.drive._statusword
-        world.node.drive._statusword = lambda: told() & ~bits  # type: ignore[method-assign]
+        statusword = world.node.drive._statusword
+        world.node.drive._statusword = lambda: statusword() & ~bits  # type: ignore[method-assign]
 
     return at_begin(change)
 

@@ -74,8 +74,8 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     write(path, content)
 
 
-class ToldNode(BusNode):
-    """A node that can be told something on its own thread, between two frames."""
+class CommandedNode(BusNode):
+    """A node that can be given calls to run on its own thread, between two frames."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -109,9 +109,9 @@ class Rig:
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._live, daemon=True)
 
-    def new_node(self, faults: tuple[Fault, ...] = ()) -> ToldNode:
+    def new_node(self, faults: tuple[Fault, ...] = ()) -> CommandedNode:
         """A drive on this bus."""
-        return ToldNode(self.bus, NodeConfig(sync_loss_tolerance_ms=10_000, faults=faults))
+        return CommandedNode(self.bus, NodeConfig(sync_loss_tolerance_ms=10_000, faults=faults))
 
     def __enter__(self) -> Rig:
         if self.node is not None:

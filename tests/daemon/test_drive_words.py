@@ -30,8 +30,8 @@ def without_bits(bits):
     """A drive whose statusword never has these bits."""
 
     def change(node):
-        told = node.drive._statusword
-        node.drive._statusword = lambda: told() & ~bits
+        statusword = node.drive._statusword
+        node.drive._statusword = lambda: statusword() & ~bits
         node.drive.update()
 
     return change
@@ -78,8 +78,8 @@ def test_the_warning_bit_is_an_event(tmp_path):
         client = running(rig)
 
         def warn(node):
-            told = node.drive._statusword
-            node.drive._statusword = lambda: told() | 0x80
+            statusword = node.drive._statusword
+            node.drive._statusword = lambda: statusword() | 0x80
             node.drive.update()
 
         rig.node.tell(warn)

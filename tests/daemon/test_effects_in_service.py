@@ -6,7 +6,7 @@ import time
 
 import pytest
 import yaml
-from daemon.rig import PATIENCE_S, Rig, ToldNode, edit
+from daemon.rig import PATIENCE_S, CommandedNode, Rig, edit
 from daemon.test_supervisor import refused
 
 from fffo_drive.cli import main
@@ -27,7 +27,7 @@ ELASTIC = {"share": 0.05, "frequency_hz": 40.0, "damping": 0.03}
 LAG = {"name": "elasticity", "parameters": {name: {"value": value} for name, value in ELASTIC.items()}}
 
 
-class PlantNode(ToldNode):
+class PlantNode(CommandedNode):
     """A node with the simulated drive's own plant, which has cogging in it."""
 
     def __init__(self, bus, config):

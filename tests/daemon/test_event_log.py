@@ -1,4 +1,4 @@
-"""The last events: what clients cause is counted and told once a second, and displaces nothing else."""
+"""The last events: what clients cause is counted and reported once a second, and displaces nothing else."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def test_a_flood_of_ten_minutes_displaces_nothing_and_is_counted(kind):
         assert len(found) <= limit
         assert [event["number"] for event in found] == sorted(event["number"] for event in found)
     assert any(event["text"] == "seen before the flood" for event in log.since(0, KEPT))
-    told = log.written.getvalue().splitlines()
-    assert len(told) <= 1 + 600 * (CAUSED_BY_CLIENTS[kind] + 1)
+    lines = log.written.getvalue().splitlines()
+    assert len(lines) <= 1 + 600 * (CAUSED_BY_CLIENTS[kind] + 1)
     assert f"{200 - CAUSED_BY_CLIENTS[kind]} more in a second, the last: cut off 199" in log.written.getvalue()
 
 
-def test_few_events_are_told_as_they_happen():
+def test_few_events_are_reported_as_they_happen():
     log = Log()
     for second, text in enumerate("abc"):
         log.now_s = float(second)
@@ -50,7 +50,7 @@ def test_few_events_are_told_as_they_happen():
 
 
 @given(st.lists(st.sampled_from(["state", "fault", "command", "client"]), max_size=60), st.integers(1, 40))
-def test_the_newest_are_told_in_their_order_and_no_more_than_asked_for(kinds, limit):
+def test_the_newest_are_reported_in_their_order_and_no_more_than_asked_for(kinds, limit):
     log = Log()
     for number, kind in enumerate(kinds):
         log.now_s = float(number)

@@ -215,14 +215,14 @@ def test_message_ids_are_distinct_and_well_formed():
     assert all(re.fullmatch(r"[0-9a-f]{32}", value) for value in MESSAGE_IDS.values())
 
 
-def test_events_are_numbered_kept_and_told():
-    told = []
+def test_events_are_numbered_kept_and_reported():
+    heard = []
     log = EventLog(Journal({}, io.StringIO()), lambda: {"state": "ready"})
-    log.listeners.append(told.append)
+    log.listeners.append(heard.append)
     for number in range(KEPT + 10):
         log.add("state", f"event {number}")
     assert log.last_number == KEPT + 10
     assert [event["number"] for event in log.since(0, 2000)] == list(range(11, KEPT + 11))
     assert [event["number"] for event in log.since(KEPT + 5, 3)] == [KEPT + 8, KEPT + 9, KEPT + 10]
     assert log.since(log.last_number, 10) == []
-    assert len(told) == KEPT + 10
+    assert len(heard) == KEPT + 10

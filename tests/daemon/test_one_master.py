@@ -67,8 +67,8 @@ def test_a_second_service_refuses_and_leaves_the_first_alone(tmp_path, another_m
         second.bus = first.bus
         with Wire(first), second:
             status = second.until_status(lambda s: REASON in str(s["obstacles"]))
-            told = "somebody else commands here: SYNC (0x080)" if another_machine else "on this machine commands there"
-            assert told in status["obstacles"][0]
+            words = "somebody else commands here: SYNC (0x080)" if another_machine else "on this machine commands there"
+            assert words in status["obstacles"][0]
             for _ in range(3):  # it tries again and again
                 rows = client.call("status")["loop"]["rows"]
                 first.until_status(lambda s, rows=rows: s["loop"]["rows"] > rows + 100, client)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from daemon.rig import PATIENCE_S, ToldNode, axis_file, edit
+from daemon.rig import PATIENCE_S, CommandedNode, axis_file, edit
 from interpreted import TESTS
 
 from fffo_drive.can.link import free_loopback_port
@@ -34,7 +34,7 @@ class Process:
         edit(self.axis, lambda axis: axis["drive"].update(command_timeout_ms=1000, heartbeat_timeout_ms=3000))
         self.sockets = directory / "s"
         self.bus = f"loopback:{free_loopback_port()}"
-        self.told: list[str] = []
+        self.notices: list[str] = []
         self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._manager.bind(str(directory / "n"))
         self._manager.setblocking(False)
@@ -42,7 +42,7 @@ class Process:
         self._log = directory / "log"
 
     def __enter__(self) -> Process:
-        self.node = ToldNode(self.bus, NodeConfig(sync_loss_tolerance_ms=10_000)).__enter__()
+        self.node = CommandedNode(self.bus, NodeConfig(sync_loss_tolerance_ms=10_000)).__enter__()
         command = [sys.executable, "-m", "fffo_drive", "serve", str(self.axis), "--bus", self.bus]
         environment = dict(os.environ, PYTHONPATH=str(TESTS), NOTIFY_SOCKET=self._notify, WATCHDOG_USEC="1000000")
         environment.pop("RUNTIME_DIRECTORY", None)
@@ -67,8 +67,8 @@ class Process:
         """Everything that the service manager was told."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                self.told.append(self._manager.recv(4096).decode())
-        return self.told
+                self.notices.append(self._manager.recv(4096).decode())
+        return self.notices
 
     def wait(self, condition: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + PATIENCE_S
@@ -107,11 +107,11 @@ def test_its_life_as_the_service_manager_sees_it(daemon):
     with daemon.run_a_profile() as client:
         daemon.wait(lambda: "WATCHDOG=1" in daemon.listen())
         daemon.wait(lambda: any(line.startswith("STATUS=running sine") for line in daemon.listen()))
-        assert daemon.told[0] == "READY=1"
+        assert daemon.notices[0] == "READY=1"
         edit(daemon.axis, lambda axis: axis["controller"].update(proportional_a_per_rps=0.9))
         daemon.process.send_signal(signal.SIGHUP)
         daemon.wait(lambda: daemon.listen().count("READY=1") == 2)
-        assert any(line.startswith("RELOADING=1\nMONOTONIC_USEC=") for line in daemon.told)
+        assert any(line.startswith("RELOADING=1\nMONOTONIC_USEC=") for line in daemon.notices)
         assert client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.9
         daemon.axis.write_text("rubbish: [")
         daemon.process.send_signal(signal.SIGHUP)

@@ -185,7 +185,7 @@ def test_a_key_that_stands_twice_refuses_the_whole_line(line, key):
 
 
 @pytest.mark.parametrize("text", ["9" * 5000, "-" + "9" * 5000, '{"a": NaN}', "[1e999999999"])
-def test_what_is_no_number_is_told_in_our_words(text):
+def test_what_is_no_number_is_reported_in_our_words(text):
     message = only(text)["error"]["message"]
     assert "set_int_max_str_digits" not in message
     assert only(text)["error"]["code"] == rpc.PARSE_ERROR

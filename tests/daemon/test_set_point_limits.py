@@ -1,4 +1,4 @@
-"""What becomes of an asked set point before it reaches the loop: bounds of the axis file, and what is told of them."""
+"""What becomes of an asked set point before it reaches the loop: bounds of the axis file, and what is reported."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def plan_of(directory: Path, change=lambda axis: None, **keys):
 
 
 @given(st.floats(-5.0, 500.0))
-def test_the_latency_that_is_told_is_how_far_the_generator_is_ahead(ahead_ticks):
+def test_the_latency_that_is_reported_is_how_far_the_generator_is_ahead(ahead_ticks):
     config = FeedforwardConfig(0.0, ahead_ticks, 0.0)
     assert config.preview_ticks == preview_ticks(config) >= max(0.0, ahead_ticks)
 
 
-def test_the_preview_is_told_in_whole_periods_and_without_it_there_is_none(tmp_path):
+def test_the_preview_is_reported_in_whole_periods_and_without_it_there_is_none(tmp_path):
     """Td of 2.75 ms, half a period's hold, less Ts of 0.7 ms: 3.05 ms at 500 Hz, two periods of 2 ms."""
     preview = plan_of(tmp_path / "a", lambda axis: axis["controller"].update(feedforward={"preview": True}))
     delay_s, sensor_s = preview.model.delay_s.value, preview.model.sensor_delay_s.value
@@ -82,7 +82,7 @@ def test_the_margin_of_the_window_is_at_most_a_tenth_of_it(tmp_path, margin_rev,
         ({"acceleration_rps": 3}, "acceleration_rps2"),
     ],
 )
-def test_a_wrong_key_is_told_with_what_is_right(tmp_path, keys, words):
+def test_a_wrong_key_is_reported_with_what_is_right(tmp_path, keys, words):
     path = axis_file(tmp_path, set_points={**KEYS, **keys})
     with pytest.raises(DocumentError, match=words) as error:
         read_axis(path)

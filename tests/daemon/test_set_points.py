@@ -75,7 +75,7 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     answer = client.call("velocity", to_rps=3)
     assert answer["state"] == "following"
     assert answer["renew_within_s"] is None
-    # Td - Ts of the model and half a period's hold: told, rounded up to periods
+    # Td - Ts of the model and half a period's hold: reported, rounded up to periods
     status = at_speed(rig, client, 3.0)
     assert status["set_point"] == {
         "kind": "velocity", "number": answer["set_point"], "to_rps": 3.0, "hold_s": None, "lapsed": False,
@@ -99,7 +99,7 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     file, rows, records = recorded(client)
     within_bounds(rows)
     assert (rows["trip"] == 0).all()
-    # the first sample that moves is as many periods on as was told; a tick may be missing here
+    # the first sample that moves is as many periods on as was reported; a tick may be missing here
     first = int(np.flatnonzero(rows["reference_rps"])[0])
     before, begun = rows["set_point_sample"][first - 1 : first + 1]
     assert before < round(answer["latency_s"] * RATE_HZ) <= begun
@@ -245,8 +245,8 @@ def test_a_set_point_does_not_leave_the_position_window(tmp_path):
         client.call("enable")
         client.call("velocity", to_rps=5)
         rig.until("enabled", client)
-        (told,) = rig.events("set_point")
-        assert "position_window_rev" in told["text"]
+        (event,) = rig.events("set_point")
+        assert "position_window_rev" in event["text"]
         there_rev = client.call("status")["motion"]["position_rev"]
         assert 1.5 < there_rev < 2.0
         again = client.call("velocity", to_rps=5, for_s=1)  # taken, and not followed

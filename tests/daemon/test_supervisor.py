@@ -167,7 +167,7 @@ def test_a_drive_that_comes_later_is_found(tmp_path):
         status = rig.until_status(lambda s: "does not answer" in str(s["obstacles"]), client)
         assert status["state"] == "offline"
         refused(lambda: client.call("enable"), "offline")
-        assert len(rig.events("drive")) == 1  # told once, not at each attempt
+        assert len(rig.events("drive")) == 1  # reported once, not at each attempt
         rig.node = rig.new_node().__enter__()
         rig.until("ready", client)
 
@@ -289,9 +289,9 @@ def test_a_disk_that_hangs_does_not_hold_up_the_end_of_the_service(tmp_path, mon
         client.call("record", to="on")
         stop = rig.supervisor.recorder._stop
         monkeypatch.setattr(rig.supervisor.recorder, "_stop", lambda: (hangs.wait(60.0), stop())[1])
-    told = rig.journal.getvalue()
+    journal = rig.journal.getvalue()
     hangs.set()
-    assert "the disk does not answer" in told
+    assert "the disk does not answer" in journal
     assert rig.supervisor.state is State.OFFLINE
     assert rig.supervisor.connection is None  # torque, SYNC and the loop have ended all the same
     assert rig.node is not None
@@ -338,7 +338,7 @@ def test_what_is_recorded_gets_a_record_in_the_fleets_store(tmp_path):
     assert row["ticks"] == read_run(Path(file)).columns["tick"].size > RATE_HZ
 
 
-def test_a_fleets_store_that_cannot_be_written_is_told_and_stops_nothing(tmp_path):
+def test_a_fleets_store_that_cannot_be_written_is_reported_and_stops_nothing(tmp_path):
     (tmp_path / "store").write_text("a file where a directory should be")
     with Rig(tmp_path, fleet=str(tmp_path / "store")) as rig:
         client = rig.client()
@@ -346,8 +346,8 @@ def test_a_fleets_store_that_cannot_be_written_is_told_and_stops_nothing(tmp_pat
         client.call("record", to="on")
         client.call("record", to="off")
 
-        def told(status) -> bool:
+        def reported(status) -> bool:
             return any("no record for the fleet" in e["text"] for e in client.call("events", limit=100)["events"])
 
-        rig.until_status(told, client)
+        rig.until_status(reported, client)
         assert client.call("status")["state"] == "ready"

@@ -1,4 +1,4 @@
-"""The whole diagnosis on an axis whose truth is known: found by name, proven on runs apart, told in one report."""
+"""The whole diagnosis on an axis whose truth is known: found by name, proven on runs apart, in one report."""
 
 import json
 from dataclasses import replace
@@ -145,7 +145,7 @@ def test_the_model_is_read_again_as_it_was_written(tmp_path):
     assert inertia_nm_s2_per_rev(further.model_after.inertia_kg_m2.value) == pytest.approx(INERTIA, rel=0.02)
 
 
-def test_progress_is_told_and_goes_up_to_one():
+def test_progress_is_reported_and_goes_up_to_one():
     shares = []
     diagnose(
         runs(nothing, duration_s=9.0), [], FACTS, settings=QUICK, progress=lambda share, text: shares.append(share)
@@ -266,7 +266,7 @@ def test_a_law_that_leaves_a_residual_on_its_own_axis_is_in_doubt_and_a_level_a_
     assert said("torque_offset", "torque", REST._replace(axes=("torque",))) == ""
 
 
-def test_runs_of_another_inertia_are_told_in_headline_and_cautions():
+def test_runs_of_another_inertia_are_reported_in_headline_and_cautions():
     records = [planted(seed=1, name="a"), planted(seed=2, name="b", begin_s=14.0, inertia=1.34 * INERTIA)]
     page = diagnose(records, [], FACTS, settings=QUICK)
     assert page.verdict == "unexplained"
@@ -279,8 +279,8 @@ def test_a_delay_is_a_note_and_never_a_finding():
     _, base = based(runs(nothing, duration_s=9.0))
     late = FACTS.model_copy(update={"nominal_delay_s": 0.0})
     for facts, count in ((late, 1), (FACTS.model_copy(update={"nominal_delay_s": 0.002}), 0), (FACTS, 0)):
-        told = cautions(None, facts, None, [], [object()], base)
-        assert sum("delay" in text for text in told) == count
+        texts = cautions(None, facts, None, [], [object()], base)
+        assert sum("delay" in text for text in texts) == count
     relative = FACTS.model_copy(update={"absolute_angle": False})
     wave = effect("cogging", {"cos_nm": 1e-3, "sin_nm": 0.0}, order=3.0)
     object.__setattr__(wave, "per_run", frozenset({"cos_nm", "sin_nm"}))

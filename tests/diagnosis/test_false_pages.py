@@ -171,7 +171,7 @@ def test_the_axis_does_not_shrink(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
-def test_held_out_runs_are_foretold_no_worse_than_by_a_textbook(name):
+def test_held_out_runs_are_predicted_no_worse_than_by_a_textbook(name):
     before, after = page(name).before, page(name).after
     assert after.torque_rms_nm.value <= OTHER_FILTER * textbook(trap(name))[1]
     assert after.torque_relative_percent.value < before.torque_relative_percent.value
@@ -192,8 +192,8 @@ def test_runs_with_another_payload_contradict_each_other_and_no_law_explains_it(
     found = page("payload")
     assert accepted("payload") == []
     assert found.verdict in ("unexplained", "no_effect_found", "nothing_carries_over")
-    told = [remark.text for remark in found.runs_look.remarks if remark.kind == "contradiction"]
-    assert any("inertia" in text for text in (*told, *found.cautions, found.headline))
+    texts = [remark.text for remark in found.runs_look.remarks if remark.kind == "contradiction"]
+    assert any("inertia" in text for text in (*texts, *found.cautions, found.headline))
 
 
 @pytest.mark.slow
@@ -205,7 +205,7 @@ def test_where_direction_and_travel_are_one_thing_that_is_said_and_nothing_is_na
 
 
 @pytest.mark.slow
-def test_a_push_with_a_clock_of_its_own_is_told_as_a_rest():
+def test_a_push_with_a_clock_of_its_own_is_reported_as_a_rest():
     """Harmonics of the clock are no lie, nor is the mean of the pushes, 1.15 mNm; most of a push is in neither."""
     found = page("clock")
     for finding in accepted("clock"):

@@ -99,12 +99,12 @@ def test_the_prior_holds_what_the_data_do_not_determine():
     start = TRUTH
     for name in ("viscous_nm_per_rps", "stiffness_per_rev", "stribeck_velocity_rps"):
         start = moved(start, name, 0.4)
-    told = fit(data._replace(start=start), TRUTH, (), iterations=8).physical
+    fitted = fit(data._replace(start=start), TRUTH, (), iterations=8).physical
     silent = fit(data._replace(start=start, weight=1e-5 * data.weight), TRUTH, (), iterations=8).physical
     for name in ("viscous_nm_per_rps", "stiffness_per_rev", "stribeck_velocity_rps"):
         k = NAMES.index(name)
         assert silent[k] == pytest.approx(start[k], rel=0.02), name
-        assert abs(np.log(told[k] / TRUTH[k])) < 0.2, name
+        assert abs(np.log(fitted[k] / TRUTH[k])) < 0.2, name
 
 
 def test_a_step_stays_within_what_an_axis_can_be():
@@ -169,7 +169,7 @@ def test_the_deviation_of_a_parameter_is_that_of_fits_of_other_noise():
     assert sd == pytest.approx(np.std(found), rel=0.4)
 
 
-def test_what_is_too_small_to_be_told_doubts_a_parameter_by_the_torque_that_it_shows_itself_with():
+def test_what_is_too_small_to_be_determined_doubts_a_parameter_by_the_torque_that_it_shows_itself_with():
     """A constant torque, known by nothing else, may be wrong by a hidden constant torque."""
     data, base = offset_axis()
     fitted = fit(data, base.physical, [effect("torque_offset", {"torque_nm": OFFSET_NM})])

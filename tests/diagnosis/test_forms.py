@@ -1,4 +1,4 @@
-"""A friction of two surfaces: told as its form, with its constants, and never as an effect beside it."""
+"""A friction of two surfaces: reported as its form, with its constants, and never as an effect beside it."""
 
 import json
 

@@ -164,19 +164,19 @@ def test_a_wave_of_which_the_data_show_less_than_a_period_is_none(name, strength
     for periods, words in ((0.9, "less than one"), (1.1, "")):
         period_rev = data.rows.turns / periods
         value = 1.0 / period_rev if shape == "order" else period_rev
-        told = judged(effect(name, {key: 0.01 for key in strengths}, **{shape: value}))
-        assert (words in told) if words else told == ""
+        refusal = judged(effect(name, {key: 0.01 for key in strengths}, **{shape: value}))
+        assert (words in refusal) if words else refusal == ""
 
 
-def test_an_axis_that_needs_less_torque_is_refused_also_where_its_inertia_is_not_told():
+def test_an_axis_that_needs_less_torque_is_refused_also_where_its_inertia_is_not_determined():
     data, fitted, reference = axis()
     physical = fitted.physical.copy()
     for name in ("inertia_nm_s2_per_rev", "coulomb_nm", "static_nm", "viscous_nm_per_rps"):
         physical[NAMES.index(name)] *= 0.3
     small, _ = evaluate(data, physical, fitted.effects)
-    told = shrinking(data, small, reference._replace(inertia_sd=1.0))
-    assert "shrinking the axis" in told
-    assert "%" in told
+    refusal = shrinking(data, small, reference._replace(inertia_sd=1.0))
+    assert "shrinking the axis" in refusal
+    assert "%" in refusal
 
 
 def test_the_torque_that_is_needed_is_that_of_the_axis_and_of_what_acts_on_it():

@@ -38,7 +38,7 @@ def model(residual, effects=()):
     return Fitted(TRUTH.copy(), tuple(effects), 1.0, residual, residual)
 
 
-def test_what_repeats_is_told_from_what_does_not():
+def test_what_repeats_is_distinguished_from_what_does_not():
     data = seen(moved_record(3))
     draw = np.random.default_rng(1)
     phase = 2 * np.pi * data.rows.time_s / 4.0

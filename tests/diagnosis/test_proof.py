@@ -1,4 +1,4 @@
-"""The proof on held-out runs: one yardstick, a datum found on the first part, and what does worse is told."""
+"""The proof on held-out runs: one yardstick, a datum found on the first part, and what does worse is reported."""
 
 from functools import cache
 

@@ -61,9 +61,9 @@ def test_sensitivities_foretell_what_a_wrong_parameter_leaves(scene, name):
     matrix = sensitivities(stretches, TRUTH, rows)
     step = 1e-4 if name == "delay_s" else 0.02
     change = residual_rows(stretches, moved(TRUTH, name, step), rows) - residual_rows(stretches, TRUTH, rows)
-    foretold = -step * matrix[:, BASE.index(name)]
+    predicted = -step * matrix[:, BASE.index(name)]
     kept = rows.kept
-    assert np.corrcoef(change[kept], foretold[kept])[0, 1] > 0.99
+    assert np.corrcoef(change[kept], predicted[kept])[0, 1] > 0.99
 
 
 def test_an_order_of_the_angle_stands_out_through_reversals(scene):

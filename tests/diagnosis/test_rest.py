@@ -9,7 +9,7 @@ import sklearn.ensemble  # noqa: F401  # before the limit of its threads: what i
 from diagnosis.planted import NOISE_NM, based, left, nothing, runs
 from threadpoolctl import threadpool_limits
 
-from fffo_drive.diagnosis.rest import TOLD_RATIO, refused_rest, rest_of
+from fffo_drive.diagnosis.rest import REPORTED_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
 
 NO_CEILING = Ceiling(None, None, None, None, "no part of the reference was repeated")
@@ -56,33 +56,33 @@ def test_nothing_is_said_of_noise(count):
 
 
 @pytest.mark.parametrize(("make", "axis_word"), [(velocity, "velocity"), (angle, "motor_angle")])
-def test_what_a_residual_depends_on_is_told_with_its_axis(make, axis_word):
+def test_what_a_residual_depends_on_is_reported_with_its_axis(make, axis_word):
     found = rest(make)
     assert axis_word in found.axes
     assert axis_word.replace("_", " ") in found.sentence
-    assert found.rms_nm > TOLD_RATIO * found.floor_nm
+    assert found.rms_nm > REPORTED_RATIO * found.floor_nm
     assert found.floor_nm == pytest.approx(np.sqrt(np.mean(axis()[1].residual_nm[axis()[0].used] ** 2)), rel=0.35)
     assert found.repeats_share is None
 
 
-def test_what_drifts_within_each_run_is_told_over_time():
+def test_what_drifts_within_each_run_is_reported_over_time():
     """Of one run: blocks of it are kept from the trees, not whole runs, or time would never come again."""
     found = rest(lambda rows: 1.5 * SIZE_NM * np.sin(2.0 * np.pi * rows.time_s / 9.0), count=1)
     assert "time" in found.axes
 
 
-def test_a_disturbance_with_a_clock_of_its_own_is_told_with_its_period():
+def test_a_disturbance_with_a_clock_of_its_own_is_reported_with_its_period():
     found = rest(clock, count=1)
     assert found.axes == ("a clock of its own",)
     words = re.search(r"a period of ([\d.]+) s", found.sentence)
     assert float(words.group(1)) == pytest.approx(CLOCK_S, rel=0.01)
 
 
-def test_a_clock_that_goes_on_from_run_to_run_is_told_as_well():
+def test_a_clock_that_goes_on_from_run_to_run_is_reported_as_well():
     assert "a clock of its own" in rest(clock).axes
 
 
-def test_what_repeats_is_told_where_no_feature_says_it():
+def test_what_repeats_is_reported_where_no_feature_says_it():
     """Eighty per cent come again with the command, and trees know nothing of that."""
     draw = np.random.default_rng(4)
     data, _ = axis()

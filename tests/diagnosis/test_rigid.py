@@ -92,7 +92,7 @@ def test_a_periodic_effect_is_found_and_its_datum_on_the_first_part_of_another_r
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="friction that turns at once is told as one that takes some travel to turn")
+@pytest.mark.xfail(strict=True, reason="friction that turns at once is reported as one that takes some travel to turn")
 def test_nothing_is_found_where_nothing_is():
     accepted = [
         finding.name

@@ -196,7 +196,7 @@ def waves_slow() -> Trap:
     )  # fmt: skip
     return Trap(
         "waves_slow", runs[:3], runs[3:], facts, machine.inertia_kg_m2, np.inf, WAVES, (72.0, 18.0), 0.0,
-        "cogging of order 72, 4.0 mNm, then 18, 1.4 mNm, then 12, 0.4 mNm. J 2.5e-5 kg m2, hardly told by these runs; "
+        "cogging of order 72, 4.0 mNm, then 18, 1.4 mNm, then 12, 0.4 mNm. J 2.5e-5 kg m2, hardly set by these runs; "
         "one way only: constant torque and Coulomb friction are one thing.",
     )  # fmt: skip
 

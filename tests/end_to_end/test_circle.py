@@ -12,6 +12,7 @@ from report.test_diagnose_command import NOTHING
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
+from fffo_drive.config.adoption import Gate
 from fffo_drive.config.axis import read_axis
 from fffo_drive.diagnosis import diagnose as engine
 from fffo_drive.documents import DocumentError
@@ -96,8 +97,10 @@ def test_the_circle_as_a_function_says_nothing_unless_it_is_listened_to(tmp_path
     axis = Path(changed(tmp_path, "axis_undeclared.yaml", lambda axis: axis.update(profile=SHORT)))
     said: list[str] = []
     wish = CircleWish(sim=Path(SIM))
-    closed = close_the_loop(axis, tmp_path / "out", wish, quick=True, say=said.append)
+    shown: list[Gate] = []
+    closed = close_the_loop(axis, tmp_path / "out", wish, quick=True, say=said.append, show_gates=shown.extend)
     assert (closed.adopted, closed.trouble, len(closed.gates)) == (False, "", 1)
+    assert shown == list(closed.gates)
     assert closed.source.verdict == "nothing_carries_over"
     assert [text.split(" ")[0] for text in said] == ["run", "diagnose"]
     assert capsys.readouterr() == ("", "")

@@ -30,21 +30,21 @@ IPOS_UNITS_PER_A = 65536.0 * 3276.0  # of 0x201C, in a drive with a peak of 10 A
 PATIENT: dict[str, Any] = {
     "heartbeat_timeout_ms": 10_000, "drive_heartbeat_ms": 100, "answer_timeout_s": 2.0, "start_timeout_s": 20.0,
 }  # fmt: skip
-TOLD_MNM = {"object": 0x6076, "value": 1228, "bytes": 4, "why": "the rating of the motor"}
+RATING_MNM = {"object": 0x6076, "value": 1228, "bytes": 4, "why": "the rating of the motor"}
 NODE_IDS_FIT = {"0x1016:01": 0x7FFFFF}  # the file has 65535, which leaves no room for a node id
 OF_IPOS = {  # objects of the vendor's own, which the public file leaves out
     "0x201C:00": {"type": "0x4", "access": "rww", "pdo": "1"},
     "0x201D:00": {"type": "0x6", "access": "rw", "pdo": "0", "default": "0"},
 }
 DRIVES: dict[str, dict[str, Any]] = {
-    "e35": {"profile": "e35", "axis": {"sdo": [TOLD_MNM]}},
+    "e35": {"profile": "e35", "axis": {"sdo": [RATING_MNM]}},
     "elmo_gold": {
-        "profile": "elmo_gold", "personality": {"highest": NODE_IDS_FIT}, "axis": {"sdo": [TOLD_MNM]},
+        "profile": "elmo_gold", "personality": {"highest": NODE_IDS_FIT}, "axis": {"sdo": [RATING_MNM]},
     },
     "epos4": {
         "profile": "maxon_epos4",
         "personality": {"rated_torque_unit_nm": 1e-6},
-        "axis": {"sdo": [{**TOLD_MNM, "value": 1_228_400}]},
+        "axis": {"sdo": [{**RATING_MNM, "value": 1_228_400}]},
     },
     "foc_mc": {"profile": "amd_foc_mc"},
     "nanotec_cl4e": {"profile": "nanotec_cl4e"},

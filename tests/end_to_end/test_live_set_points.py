@@ -93,7 +93,7 @@ def test_live_steps_give_the_commands_of_the_same_trajectory_as_a_profile(previe
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
-def test_what_the_preview_costs_is_what_is_told(live):
+def test_what_the_preview_costs_is_what_is_reported(live):
     live.ask(2.0)
     live.run.ticks(60)
     rows = live.rows()

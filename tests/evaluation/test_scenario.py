@@ -223,7 +223,7 @@ def test_wide_axes_are_the_same_ones_every_time_on_resolvers_and_encoders():
 @pytest.mark.parametrize(
     ("effect", "passive"), [(None, True), ("periodic_disturbance", True), ("odd_direction_angle", False)]
 )
-def test_an_axis_that_gives_energy_is_told_from_one_that_is_disturbed(effect, passive):
+def test_an_axis_that_gives_energy_is_distinguished_from_one_that_is_disturbed(effect, passive):
     from dataclasses import replace
 
     nominal = read_scenario(SCENARIOS / "paper.yaml").plant

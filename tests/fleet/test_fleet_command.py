@@ -48,8 +48,8 @@ def test_status_counts_and_names_the_drives(fleet, capsys):
     assert "24 runs of 6 drives, 1 model: 100 % done" in said
     assert "M1, SN3: 4 runs, 2026-03-02 to 2026-03-23" in said
     assert main(["fleet", "status", str(fleet), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["recorded"], told["waiting"], told["failed"]) == (24, 0, 0)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["recorded"], printed["waiting"], printed["failed"]) == (24, 0, 0)
 
 
 def test_added_again_nothing_is_new_and_nothing_is_read(fleet, facts_file, capsys, monkeypatch):
@@ -57,22 +57,22 @@ def test_added_again_nothing_is_new_and_nothing_is_read(fleet, facts_file, capsy
     runs = fleet.parent / "drive0"
     words = ["--from", str(runs), "--drive", str(facts_file), "--serial", "SN0", "--model", "M1"]
     assert main(["fleet", "add", str(fleet), *words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["found"], told["new"]) == (4, 0)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["found"], printed["new"]) == (4, 0)
 
 
 def test_the_report_names_who_stands_outside_and_draws_every_history(fleet, tmp_path, capsys):
     assert main(["fleet", "report", str(fleet), "--out", str(tmp_path / "page")]) == 0
     assert f"SN{OUTSIDE} stands outside: Coulomb friction" in capsys.readouterr().out
-    told = json.loads((tmp_path / "page" / "report.json").read_text())
-    (model,) = told["results"]["models"]
+    printed = json.loads((tmp_path / "page" / "report.json").read_text())
+    (model,) = printed["results"]["models"]
     assert (model["drives"], model["runs"]) == (DRIVES, DRIVES * RUNS)
     coulomb = next(one for one in model["spreads"] if one["name"] == "coulomb_nm")
     assert coulomb["median"] == pytest.approx(TRUTH["coulomb_nm"], rel=0.1)
     outside = {(one["drive"], one["quantity"]) for one in model["outsiders"]}
     assert (f"SN{OUTSIDE}", "coulomb_nm") in outside
     assert not any(drive not in (f"SN{OUTSIDE}", f"SN{CHANGED}") for drive, _ in outside)
-    titles = {figure["title"] for figure in told["figures"]}
+    titles = {figure["title"] for figure in printed["figures"]}
     assert {f"SN{k}: Coulomb friction" for k in range(DRIVES)} <= titles
     page = (tmp_path / "page" / "report.html").read_text()
     assert "http://" not in page.replace("http://www.w3.org", "")
@@ -81,8 +81,8 @@ def test_the_report_names_who_stands_outside_and_draws_every_history(fleet, tmp_
 def test_the_history_of_named_drives_alone(fleet, tmp_path, capsys):
     assert main(["fleet", "report", str(fleet), "--serial", "SN1", "--out", str(tmp_path / "page"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["models"]
-    told = json.loads((tmp_path / "page" / "report.json").read_text())
-    drawn = {figure["title"].split(":")[0] for figure in told["figures"] if figure["name"].startswith("history")}
+    printed = json.loads((tmp_path / "page" / "report.json").read_text())
+    drawn = {figure["title"].split(":")[0] for figure in printed["figures"] if figure["name"].startswith("history")}
     assert drawn == {"SN1"}
     assert main(["fleet", "report", str(fleet), "--serial", "SN11", "--out", str(tmp_path / "other")]) == 78
     assert "SN1" in capsys.readouterr().err
@@ -91,9 +91,9 @@ def test_the_history_of_named_drives_alone(fleet, tmp_path, capsys):
 def test_two_times_of_a_drive_are_compared(fleet, tmp_path, capsys):
     words = ["2026-03-01..2026-03-15", "2026-03-15..", "--store", str(fleet), "--serial", f"SN{CHANGED}"]
     assert main(["fleet", "compare", *words, "--out", str(tmp_path / "page"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["runs"] == [2, 2]
-    coulomb = next(law for law in told["laws"] if law["law"] == "Coulomb friction")
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["runs"] == [2, 2]
+    coulomb = next(law for law in printed["laws"] if law["law"] == "Coulomb friction")
     assert coulomb["interval"][0] < 0.3 < coulomb["interval"][1]  # few runs, wide interval
     report = json.loads((tmp_path / "page" / "report.json").read_text())
     numbers = next(table for table in report["tables"] if table["name"] == "numbers")
@@ -137,9 +137,9 @@ def test_a_mistake_is_one_sentence(fleet, tmp_path, capsys, words, said):
     (tmp_path / "EMPTY").mkdir()
     known = {"STORE": str(fleet)} | {name: str(tmp_path / name) for name in ("NOWHERE", "NEW", "EMPTY", "OUT")}
     assert main(["fleet", *(known.get(word, word) for word in words)]) == 78
-    told = capsys.readouterr().err.strip()
-    assert said in told
-    assert len(told.splitlines()) == 1
+    output = capsys.readouterr().err.strip()
+    assert said in output
+    assert len(output.splitlines()) == 1
 
 
 def test_a_table_without_facts_is_left_out_and_the_others_are_added(fleet, tmp_path, capsys):
@@ -147,10 +147,10 @@ def test_a_table_without_facts_is_left_out_and_the_others_are_added(fleet, tmp_p
     garbage = tmp_path / "garbage.mcap"
     garbage.write_text("no recording")
     assert main(["fleet", "add", str(tmp_path / "store"), str(lonely), str(garbage)]) == 78
-    told = capsys.readouterr()
-    assert "--drive FILE" in told.err
-    assert "garbage.mcap: not an MCAP file" in told.err
-    assert "0 runs added, 0 were known, 2 not added" in told.out
+    output = capsys.readouterr()
+    assert "--drive FILE" in output.err
+    assert "garbage.mcap: not an MCAP file" in output.err
+    assert "0 runs added, 0 were known, 2 not added" in output.out
 
 
 def test_add_and_work_in_one_go(facts_file, tmp_path, capsys):

@@ -91,9 +91,9 @@ def test_a_torn_recording_and_the_finished_file_made_of_it_are_one_run(six_runs,
 
 def test_processes_make_the_same_bytes(six_runs, merged_bytes, tmp_path):
     store = filled_store(tmp_path / "store", six_runs)
-    told = []
-    work(store.place.address, store.waiting(), workers=2, progress=told.append)
-    assert told == [pytest.approx(k / 6) for k in range(1, 7)]
+    shares = []
+    work(store.place.address, store.waiting(), workers=2, progress=shares.append)
+    assert shares == [pytest.approx(k / 6) for k in range(1, 7)]
     assert merged(store) == merged_bytes
     work(store.place.address, store.waiting(), workers=2)
     assert merged(store) == merged_bytes
@@ -113,9 +113,9 @@ def test_shares_are_disjoint_and_make_the_same_bytes(six_runs, merged_bytes, tmp
 @pytest.mark.filterwarnings("default")  # distributed's own, on shutting down
 def test_a_cluster_of_dask_makes_the_same_bytes(six_runs, merged_bytes, tmp_path):
     store = filled_store(tmp_path / "store", six_runs)
-    told = []
-    work_on_dask("local", store.place.address, store.waiting(), told.append)
-    assert told[-1] == 1.0
+    shares = []
+    work_on_dask("local", store.place.address, store.waiting(), shares.append)
+    assert shares[-1] == 1.0
     assert merged(store) == merged_bytes
 
 
@@ -280,12 +280,12 @@ def bucket(tmp_path_factory):
     log = (tmp_path_factory.mktemp("s3") / "log").open("w")
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     server = subprocess.Popen(command, stdout=log, stderr=log)
-    told = {
+    variables = {
         "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}", "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test",
         "AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true",
     }  # fmt: skip
-    before = {name: os.environ.get(name) for name in told}
-    os.environ.update(told)
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         _wait_for(server, port)
         import boto3

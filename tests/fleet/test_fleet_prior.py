@@ -48,7 +48,7 @@ def test_what_the_motion_does_not_determine_is_the_population_s() -> None:
     assert not found.other_population
 
 
-def test_a_drive_of_another_population_is_told() -> None:
+def test_a_drive_of_another_population_is_reported() -> None:
     population = Population(NAMES, np.zeros(2), np.eye(2), 1e-9 * np.eye(2), 60)
     assert of_one(population, np.array([5.0, 0.0]), 100.0 * np.eye(2)).other_population
     assert not of_one(population, np.array([1.5, 0.0]), 100.0 * np.eye(2)).other_population
@@ -116,19 +116,19 @@ def test_two_runs_say_what_one_of_both_would() -> None:
         posterior(population, [])
 
 
-def test_one_parameter_far_out_is_told_by_few_drives_of_many_parameters() -> None:
+def test_one_parameter_far_out_is_reported_by_few_drives_of_many_parameters() -> None:
     names = tuple("abcdefgh")
     population = Population(names, np.zeros(8), np.eye(8), 1e-9 * np.eye(8), 12)
     far = np.zeros(8)
     far[2] = 12.0
     assert of_one(population, far, 1e6 * np.eye(8)).other_population  # Hotelling's p is 0.04
     rng = np.random.default_rng(3)
-    told = []
+    flagged = []
     for _ in range(400):  # the population is estimated from twelve drives each time
         drives = rng.standard_normal((13, 8))
         own = Population(names, drives[:12].mean(0), np.cov(drives[:12].T), 1e-9 * np.eye(8), 12)
-        told.append(of_one(own, drives[12], 1e9 * np.eye(8)).other_population)
-    assert np.mean(told) < 0.02
+        flagged.append(of_one(own, drives[12], 1e9 * np.eye(8)).other_population)
+    assert np.mean(flagged) < 0.02
 
 
 def test_the_prior_follows_the_temperature_of_the_run() -> None:

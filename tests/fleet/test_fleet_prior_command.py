@@ -66,9 +66,9 @@ def test_identify_has_prior_own_data_and_posterior_side_by_side(store, short, fa
     out = tmp_path / "model"
     assert identified(short, facts_file, out, "--prior", str(store), "--prior-model", "M1") == 0
     assert f"prior: {DRIVES} drives of M1" in capsys.readouterr().out
-    told = json.loads((out / "report.json").read_text())["results"]["prior"]
-    assert not told["other_population"]
-    rows = {row["name"]: row for row in told["parameters"]}
+    prior = json.loads((out / "report.json").read_text())["results"]["prior"]
+    assert not prior["other_population"]
+    rows = {row["name"]: row for row in prior["parameters"]}
     for name, value in truth_of(90).items():
         assert abs(rows[name]["posterior"] - value) < 4.0 * rows[name]["posterior_sd"], name
         assert rows[name]["posterior_sd"] < rows[name]["prior_sd"] * 1.0001
@@ -79,7 +79,7 @@ def test_identify_has_prior_own_data_and_posterior_side_by_side(store, short, fa
     assert model.friction.viscous_nm_per_rps.value == pytest.approx(truth_of(90)["viscous_nm_per_rps"], rel=0.2)
 
 
-def test_a_drive_of_another_population_is_told_and_gets_its_own_fit(store, unlike, facts_file, tmp_path, capsys):
+def test_a_drive_of_another_population_is_reported_and_gets_its_own_fit(store, unlike, facts_file, tmp_path, capsys):
     with_prior, without = tmp_path / "with", tmp_path / "without"
     assert identified(unlike, facts_file, with_prior, "--prior", str(store), "--prior-model", "M1") == 0
     said = capsys.readouterr().out

@@ -24,13 +24,13 @@ def records(thetas, runs=2, rms=1e-3, model="m", own_sd=0.0, seed=0):
     rows = []
     for drive, theta in enumerate(thetas):
         for run in range(runs):
-            told = theta * (1.0 + own_sd * draw.standard_normal(P))
-            moment = normal @ told
+            parameters = theta * (1.0 + own_sd * draw.standard_normal(P))
+            moment = normal @ parameters
             rows.append(
                 {
                     "run": f"{model}{drive}.{run}", "model": model, "drive": f"d{drive}", "units": "rotary",
                     "start": datetime(2026, 1, 1 + run, tzinfo=UTC), "normal": packed(normal), "moment": moment,
-                    "energy_nm2": float(told @ moment) + rms**2 * ROWS, "rows": ROWS, "effective_rows": ROWS,
+                    "energy_nm2": float(parameters @ moment) + rms**2 * ROWS, "rows": ROWS, "effective_rows": ROWS,
                     "order_amplitude_nm": np.full(HIGHEST_ORDER, np.nan),
                 }
             )  # fmt: skip

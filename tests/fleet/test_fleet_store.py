@@ -52,7 +52,7 @@ def store(tmp_path):
     return FleetStore(str(tmp_path / "store"), create=True)
 
 
-def test_a_place_without_a_store_and_one_with_other_files_are_told(tmp_path):
+def test_a_place_without_a_store_and_one_with_other_files_are_reported(tmp_path):
     with pytest.raises(DocumentError, match="fleet add"):
         FleetStore(str(tmp_path / "nothing"))
     (tmp_path / "full").mkdir()

@@ -1,4 +1,4 @@
-"""Watching drives: the rate of false alarms, planted changes, temperature that is no wear, and what cannot be told."""
+"""Watching drives: the rate of false alarms, planted changes, temperature that is no wear, and what stays undecided."""
 
 from __future__ import annotations
 

@@ -52,10 +52,10 @@ def test_orders_phases_and_lag_of_a_known_sensor_are_found_within_their_interval
     assert [one.order for one in found.sure] == [1, 2, 8]  # the largest first
 
 
-def test_without_an_error_hardly_an_order_is_told():
+def test_without_an_error_hardly_an_order_is_found():
     """At four standard deviations one order of some thousands."""
-    told = [len(cyclic_error([record(seed, {})]).sure) for seed in range(40)]
-    assert sum(told) <= 3
+    found = [len(cyclic_error([record(seed, {})]).sure) for seed in range(40)]
+    assert sum(found) <= 3
     assert "no order is beyond noise" in cyclic_lines(cyclic_error([record(0, {})]))[-1]
 
 

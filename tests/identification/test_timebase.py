@@ -32,7 +32,7 @@ def test_an_even_log_stays_as_it_is():
         assert (even.good, even.breaks, even.jitter_s) == (None, (), 0.0)
 
 
-def test_jitter_is_taken_out_and_its_size_told():
+def test_jitter_is_taken_out_and_its_size_reported():
     """190 to 280 Hz, as a servo on a serial line gives it."""
     steps = 1.0 / np.random.default_rng(1).uniform(190.0, 280.0, 3000)
     time_s = np.cumsum(steps)

@@ -44,7 +44,7 @@ dialects = st.builds(
 )
 
 
-def told(dialect: Dialect, names: list[str]) -> Hints:
+def hints_of(dialect: Dialect, names: list[str]) -> Hints:
     """What a user has to say of a log that says nothing of its units."""
     if dialect.names and dialect.units != "none":
         return Hints(counts_per_turn=POSITION_UNITS["counts"] if dialect.position == "counts" else None)
@@ -56,7 +56,7 @@ def told(dialect: Dialect, names: list[str]) -> Hints:
 
 def taken_in(path: Path, dialect: Dialect):
     source = read_source(path)
-    return converted(source, recognise(source, told(dialect, list(source.columns))))
+    return converted(source, recognise(source, hints_of(dialect, list(source.columns))))
 
 
 def assert_same(log, expected, dialect):

@@ -63,7 +63,7 @@ def test_dates_are_seconds_and_lists_will_do():
     np.testing.assert_allclose(record.position_rev, log.position_rev, atol=1e-6)
 
 
-def test_what_cannot_be_told_is_an_error_and_a_hint_mends_it():
+def test_what_cannot_be_determined_is_an_error_and_a_hint_mends_it():
     given = {f"x{k}": values for k, values in enumerate(columns().values())}
     given["x3"] = np.random.default_rng(1).normal(size=given["x0"].size)
     with pytest.raises(RecordingError, match="no current or torque"):

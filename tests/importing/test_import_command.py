@@ -224,7 +224,7 @@ def test_cells_that_are_not_numbers_are_counted(tmp_path, capsys, spoiled, said)
     assert said in capsys.readouterr().out
 
 
-def test_a_sign_that_is_turned_is_told(tmp_path, capsys):
+def test_a_sign_that_is_turned_is_reported(tmp_path, capsys):
     (tmp_path / "log.csv").write_text(as_text(truth(), Dialect(reversed_current=True)))
     assert run_import(tmp_path / "log.csv", "--out", tmp_path / "out") == 0
     assert "its sign is reversed" in capsys.readouterr().out
@@ -353,7 +353,7 @@ def test_published_logs_are_taken_in_as_they_lie(tmp_path, capsys, files, words,
 
 
 def test_the_published_log_of_an_outrunner_keeps_its_turn(tmp_path):
-    """Positions in rad: told by a reference that stands at 2 pi, not by a unit."""
+    """Positions in rad: recognised by a reference that stands at 2 pi, not by a unit."""
     source = read_source(shared_files("measured/laas/speed_test1.txt")[0])
     found = recognise(source)
     position = found.of("position_rev")

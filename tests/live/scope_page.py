@@ -23,7 +23,7 @@ INKED = """([title, colour]) => {
 
 
 # what the page shows when something has not come about
-TOLD = """["state", "fault", "said", "connection", "rights", "facts"].map((id) =>
+PAGE_TEXT = """["state", "fault", "said", "connection", "rights", "facts"].map((id) =>
   `${id}: ${document.getElementById(id).textContent}`).join("; ")"""
 
 
@@ -55,7 +55,7 @@ class Page:
     def until(self, expression):
         """Wait until it is so."""
         value = waited_for(self.tab, expression, PATIENCE_S)
-        assert value, f"never: {expression}; {self.js(TOLD)}; {self.troubles}"
+        assert value, f"never: {expression}; {self.js(PAGE_TEXT)}; {self.troubles}"
         return value
 
     def settled(self, element):

@@ -22,12 +22,12 @@ def dsp(chromium):
     tab.add_script_tag(content=(ASSETS / "dsp.js").read_text() + "\nwindow.Dsp = Dsp;")
 
     def call(name, *given):
-        told = json.dumps([{"array": list(map(float, one))} if isinstance(one, np.ndarray) else one for one in given])
+        sent = json.dumps([{"array": list(map(float, one))} if isinstance(one, np.ndarray) else one for one in given])
         return tab.evaluate(
-            """([name, told]) => JSON.parse(JSON.stringify(
-              Dsp[name](...JSON.parse(told).map((v) => (v && v.array ? Float64Array.from(v.array) : v))),
+            """([name, sent]) => JSON.parse(JSON.stringify(
+              Dsp[name](...JSON.parse(sent).map((v) => (v && v.array ? Float64Array.from(v.array) : v))),
               (key, v) => (v instanceof Float64Array ? Array.from(v) : v)))""",
-            [name, told],
+            [name, sent],
         )
 
     yield call

@@ -68,8 +68,8 @@ def test_we_say_what_the_sdk_says(sdk):
         ours = protocol.Channel(number, **CHANNEL)
         assert json.loads(protocol.server_info("bench", "1")) == info
         assert json.loads(protocol.advertise([ours])) == topics
-        told = protocol.AdvertisedService(service, "/fffo_drive/stop", "fffo_drive/stop", REQUEST, RESPONSE)
-        assert json.loads(protocol.advertise_services([told])) == services
+        advertised = protocol.AdvertisedService(service, "/fffo_drive/stop", "fffo_drive/stop", REQUEST, RESPONSE)
+        assert json.loads(protocol.advertise_services([advertised])) == services
 
         socket.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 5, "channelId": number}]}))
         socket.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 6, "channelId": 999}]}))

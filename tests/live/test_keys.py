@@ -19,7 +19,7 @@ def test_each_role_has_a_key_of_its_own_and_the_last_one_makes_all():
     assert Keys().last != keys.last
 
 
-def test_a_name_gives_no_rights_and_is_told():
+def test_a_name_gives_no_rights_and_is_reported():
     keys = Keys()
     asker = keys.asker(f"Änne K.:{keys.of('stop')}")
     assert asker == Asker("stop", "Änne K.")

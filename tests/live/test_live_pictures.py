@@ -85,9 +85,9 @@ def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
                       return Object.fromEntries(c.tick.map((t, i) => [Number(t), c.velocity_rps[i]])); })()""")
     low, high = (rows[str(round(at * RATE_HZ))] for at in (a_s, b_s))
     page.until("!document.querySelector('figure .cursors').hidden")
-    told = page.tab.locator("figure .cursors").first.text_content().replace("−", "-")
-    assert f"Δ {high - low:.3g}"[:5] in told
-    assert f"1/(B-A) {1.0 / (b_s - a_s):.4g}"[:12] in told
+    text = page.tab.locator("figure .cursors").first.text_content().replace("−", "-")
+    assert f"Δ {high - low:.3g}"[:5] in text
+    assert f"1/(B-A) {1.0 / (b_s - a_s):.4g}"[:12] in text
     assert page.js("[...document.querySelectorAll('.cursors')].filter((c) => !c.hidden).length") >= 5
     box = plot(page)
     page.tab.mouse.dblclick(box["x"] + 0.5 * box["width"], box["y"] + 40)
@@ -191,8 +191,8 @@ def test_a_trigger_is_set_with_keys_alone(served, page):
     page.reach("level")
     page.tab.keyboard.type("0.5")
     choose(page, "mode", "w")
-    told = page.js("fffoScope.trigger.settings")
-    assert (told["kind"], told["signal"], told["level"], told["mode"]) == ("level", "velocity_rps", 0.5, "normal")
+    kept = page.js("fffoScope.trigger.settings")
+    assert (kept["kind"], kept["signal"], kept["level"], kept["mode"]) == ("level", "velocity_rps", 0.5, "normal")
     served.run()
     page.until("!!fffoScope.held")
 
@@ -235,7 +235,7 @@ def test_views_are_saved_by_name_and_as_files(served, page, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "refusal"),
     [
         (lambda content: "{", "no JSON"),
         (lambda content: {**content, "format": "other"}, "no saved view"),
@@ -244,7 +244,7 @@ def test_views_are_saved_by_name_and_as_files(served, page, tmp_path):
         (lambda content: {**content, "view": {**content["view"], "signals": ["nothing_nm"]}}, "has no nothing_nm"),
     ],
 )
-def test_a_file_that_is_no_view_is_refused_in_words(page, tmp_path, spoil, told):
+def test_a_file_that_is_no_view_is_refused_in_words(page, tmp_path, spoil, refusal):
     page.until("fffoScope.store")
     trigger = {"kind": "none", "signal": "reference_rps", "level": 0, "edge": "rising", "mode": "single", "pre": 50}
     view = {"seconds": 5, "signals": [], "off": {}, "values": {}, "trigger": trigger, "analysis": {}}
@@ -252,7 +252,7 @@ def test_a_file_that_is_no_view_is_refused_in_words(page, tmp_path, spoil, told)
     file = tmp_path / "wrong.json"
     file.write_text(wrong if isinstance(wrong, str) else json.dumps(wrong))
     page.tab.set_input_files("#view-import", file)
-    page.until(f"document.querySelector('#said').textContent.includes({json.dumps(told)})")
+    page.until(f"document.querySelector('#said').textContent.includes({json.dumps(refusal)})")
 
 
 def test_a_spectrum_over_frequency_has_the_amplitude_of_the_sine(served, page):
@@ -352,9 +352,9 @@ def test_the_phase_of_the_feedback_after_the_reference(served, page):
     page.tab.click("#show-phase")
     page.until("fffoScope.analyses.phase.found?.lag.clear")
     assert page.js("fffoScope.analyses.phase.found.lag.samples") > 0.0  # the feedback comes after the reference
-    told = page.tab.text_content("[data-analysis=phase] .readout")
-    assert "lag" in told
-    assert "coherence" in told
+    text = page.tab.text_content("[data-analysis=phase] .readout")
+    assert "lag" in text
+    assert "coherence" in text
     found = page.js("fffoScope.analyses.phase.found")
     strongest = max(range(1, len(found["cross"])), key=lambda k: found["cross"][k])
     assert found["at"][strongest] < 1.6  # of the sine at 0.5 Hz, in steps of 0.8 Hz

@@ -151,7 +151,7 @@ def test_without_the_key_a_page_looks_and_says_so(served, page, chromium):
 
 
 # what the page sends, and a status with an epoch that the test sets: the daemon's own are not changed for this
-TOLD = """
+RECORD_CALLS = """
   window.sent = [];
   const send = WebSocket.prototype.send;
   WebSocket.prototype.send = function (text) { window.sent.push(JSON.parse(text)); send.call(this, text); };
@@ -168,7 +168,7 @@ TOLD = """
 def test_what_gives_torque_or_motion_carries_the_epoch_that_was_shown(served, chromium, epoch):
     served.rest()
     page = Page(chromium, served)
-    page.tab.add_init_script(TOLD + f"window.epoch = {'undefined' if epoch is None else epoch};")
+    page.tab.add_init_script(RECORD_CALLS + f"window.epoch = {'undefined' if epoch is None else epoch};")
     page.open()
     page.until_state("ready")
     for button in ("#enable", "#start"):

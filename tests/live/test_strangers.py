@@ -13,7 +13,7 @@ import struct
 import pytest
 from daemon.rig import PATIENCE_S
 from live.scope_rig import ScopeRig, hear, say
-from live.told_daemon import NEVER, Refusal, ToldDaemon
+from live.scripted_daemon import NEVER, Refusal, ScriptedDaemon
 from live.viewer import SERVICE_REQUEST, ServiceFailure, Viewer
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -44,7 +44,7 @@ EPOCHS = {
 
 @pytest.fixture
 def scope(tmp_path):
-    with ScopeRig(tmp_path, viewers=True, daemon=ToldDaemon(tmp_path), methods=EPOCHS) as rig:
+    with ScopeRig(tmp_path, viewers=True, daemon=ScriptedDaemon(tmp_path), methods=EPOCHS) as rig:
         yield rig
 
 
@@ -232,8 +232,8 @@ def test_epochs_are_passed_through(scope):
     viewer.call("/fffo_drive/enable", {"key": key})
     say(page, do="call", method="start", params={"profile": "default", "epoch": 9}, id=1)
     hear(page, "answer")
-    told = [line.params.get("epoch") for line in scope.rig.asked("start", "enable")]
-    assert told == [7, 8, None, 9]
+    epochs = [line.params.get("epoch") for line in scope.rig.asked("start", "enable")]
+    assert epochs == [7, 8, None, 9]
     viewer.close()
 
 

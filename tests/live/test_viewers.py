@@ -46,7 +46,7 @@ def followed(scope):
     scope.until(lambda: scope.server.hub.feed._reader is not None)
 
 
-def test_channels_are_told_with_schemas_that_all_viewers_read(viewer):
+def test_channels_are_reported_with_schemas_that_all_viewers_read(viewer):
     assert viewer.info["name"] == "bench"
     assert set(viewer.channels) == set(m.SCHEMAS)
     for channel in viewer.channels.values():
@@ -83,7 +83,7 @@ def test_lateness_is_counted_once_a_second(scope, viewer):
     assert sum(getattr(message, name) for name in classes) == message.ticks > 1900
 
 
-def test_state_and_events_are_told(scope, viewer):
+def test_state_and_events_are_reported(scope, viewer):
     viewer.subscribe(m.STATE_TOPIC, EVENT_TOPIC, m.LOG_TOPIC)
     _, state = viewer.message(m.STATE_TOPIC)
     assert (state.state, state.toggle, state.recording) == ("offline", "ff", False)
@@ -173,5 +173,5 @@ def test_the_command_says_where_and_gives_the_key(scope, capsys):
 def test_times_are_read_as_they_are_written():
     assert m.time_ns_of("1970-01-01T00:00:01.000000002Z") == 1_000_000_002
     event = {"time": "2026-11-21T08:15:25.123456789Z", "level": "error", "kind": "fault", "text": "ä", "data": {}}
-    told = m.event_of(event)
-    assert (told.time, told.level) == (event["time"], 40)
+    message = m.event_of(event)
+    assert (message.time, message.level) == (event["time"], 40)

@@ -27,24 +27,24 @@ def outcome(name, params):
 
 
 def refusal(name, **params):
-    told = outcome(name, params)
-    assert isinstance(told, str)
-    return told
+    problem = outcome(name, params)
+    assert isinstance(problem, str)
+    return problem
 
 
 @pytest.mark.parametrize("name", [*ENDING, "enable", "start", "reset_fault"])
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "problem"),
     [("x", "(got 'x')"), ("1", "(got '1')"), (True, "(got true)"), (-1, "(got -1)"), (601, "(got 601)"), ([], "")],
 )
-def test_a_wait_is_a_number_in_its_range(name, value, told):
+def test_a_wait_is_a_number_in_its_range(name, value, problem):
     profile = {"profile": "default"} if name == "start" else {}
-    expected = f"{name}: wait_s: a number from 0 to 600 is needed {told}".rstrip() + " (parameters: "
+    expected = f"{name}: wait_s: a number from 0 to 600 is needed {problem}".rstrip() + " (parameters: "
     assert refusal(name, wait_s=value, **profile).startswith(expected)
 
 
 @pytest.mark.parametrize(
-    ("name", "params", "told"),
+    ("name", "params", "problem"),
     [
         ("stop", {"bogus": 1}, "bogus: unknown parameter"),
         ("toggle", {"to": "x"}, "to: 'ff', 'fb' or 'off' is needed (got 'x')"),
@@ -80,8 +80,8 @@ def test_a_wait_is_a_number_in_its_range(name, value, told):
         ),
     ],
 )  # fmt: skip
-def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, told):
-    assert refusal(name, **params).startswith(f"{name}: {told} (parameters: ")
+def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, problem):
+    assert refusal(name, **params).startswith(f"{name}: {problem} (parameters: ")
 
 
 def test_what_is_right_goes_through_as_it_came():

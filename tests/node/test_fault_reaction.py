@@ -93,7 +93,7 @@ def test_measured_faults(cause: Callable[[Rig], None], code: int, register: int,
     assert (rig.state, rig.read(0x603F), rig.read(0x1001)) == (SOD, 0, 0)
 
 
-def test_the_end_of_a_fault_is_told_once() -> None:
+def test_the_end_of_a_fault_is_reported_once() -> None:
     rig = turning()
     heat(rig)
     rig.wait(1000)

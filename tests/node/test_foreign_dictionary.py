@@ -44,7 +44,7 @@ def rig_of(name: str, node_id: int = 1, **personality: object) -> Rig:
     return Rig(config.validate())
 
 
-def told(entry: Entry, node_id: int) -> int | bytes | None:
+def power_on_value(entry: Entry, node_id: int) -> int | bytes | None:
     """What the file says that is read at power-on; None where it does not say."""
     if entry.value is not None:
         return entry.value + node_id if entry.value_relative else entry.value  # type: ignore[operator]
@@ -64,7 +64,7 @@ def test_every_object_is_as_its_file_has_it(name: str, node_id: int) -> None:
         if abort:
             assert (entry.index, abort, entry.default) == (0x1003, NO_DATA, None), entry
             continue
-        expected = told(entry, node_id)
+        expected = power_on_value(entry, node_id)
         assert len(data) == entry.size, entry
         if expected is not None and entry.index not in MEASURED and entry.multiplexer != 0x1003 << 8:
             assert data == struct.pack("<" + STRUCT_CODES[entry.data_type], expected), entry
@@ -305,7 +305,7 @@ def test_an_eds_that_is_none_is_refused_in_one_sentence(tmp_path: Path) -> None:
     for name, text, said in (
         ("none.eds", "hello", "has no section"),
         ("empty.dcf", "", "has no section"),
-        ("untold.txt", "[FileInfo]\n", "has no section"),
+        ("no_section.txt", "[FileInfo]\n", "has no section"),
         ("wide.eds", eds.replace("[6041]", "[6041]\nDataType=0x0007"), "0x6041:00 is UNSIGNED32"),
     ):
         path = tmp_path / name
@@ -402,9 +402,9 @@ def entries_strategy() -> st.SearchStrategy[tuple[Entry, ...]]:
         missing = draw(st.sets(st.sampled_from(sorted({e.index for e in ENTRIES} - {0x1000})), max_size=60))
         odd = draw(st.sets(st.sampled_from([e.multiplexer for e in ENTRIES]), max_size=25))
         kept = [e for e in ENTRIES if e.index not in missing]
-        told = draw(st.sampled_from((None, 0, 1 << 3, 1 << 9, 0x65)))
+        modes = draw(st.sampled_from((None, 0, 1 << 3, 1 << 9, 0x65)))
         return tuple(
-            replace(e, default=told) if e.index == SUPPORTED_MODES else changed(draw, e) if e.multiplexer in odd else e
+            replace(e, default=modes) if e.index == SUPPORTED_MODES else changed(draw, e) if e.multiplexer in odd else e
             for e in kept
         )
 

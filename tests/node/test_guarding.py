@@ -38,7 +38,7 @@ def test_a_heartbeat_takes_its_place() -> None:
 
 
 @pytest.mark.conformance("CiA 301", "node guarding and life guarding (0x100C, 0x100D)")
-def test_life_guarding_begins_with_the_first_question_and_its_end_is_told_once() -> None:
+def test_life_guarding_begins_with_the_first_question_and_its_end_is_reported_once() -> None:
     rig = Rig()
     rig.write(0x100C, 0, 50, 2)
     rig.write(0x100D, 0, 3, 1)

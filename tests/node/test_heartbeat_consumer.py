@@ -16,7 +16,7 @@ INVALID_VALUE, INCOMPATIBLE = 0x06090030, 0x06040043
     "heartbeat consumer times out to EMCY 0x8130 and bit 4 of 0x1001",
     "once an error, and once its end (0x0000)",
 )
-def test_supervision_begins_with_the_first_heartbeat_and_a_loss_is_told_once() -> None:
+def test_supervision_begins_with_the_first_heartbeat_and_a_loss_is_reported_once() -> None:
     rig = Rig()
     rig.script(f"""
         > {CONFIGURE}

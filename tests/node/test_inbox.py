@@ -93,7 +93,7 @@ def test_the_deadline_ends_the_wait_with_what_there_is(pair) -> None:
     assert wait(inbox, near, 0.002) == NOTHING | BOXED
 
 
-def test_a_link_that_fails_is_told() -> None:
+def test_a_link_that_fails_is_reported() -> None:
     assert wait_for_frame(10_000, Inbox().memory, time.monotonic_ns()) < 0
 
 
@@ -131,10 +131,10 @@ def test_a_node_behind_an_inbox_does_what_one_without_does(pair, seed: int) -> N
     direct, behind = prepared(), prepared()
     inbox = Inbox()
     boxes: tuple[Box, ...] = ()
-    told: list[list[str]] = [[], []]
+    answers: list[list[str]] = [[], []]
     script = frames(seed)
     for raw in script:
-        told[0] += [text(answer) for answer in direct.node.handle(raw, direct.now_ns)]
+        answers[0] += [text(answer) for answer in direct.node.handle(raw, direct.now_ns)]
     for raw in script:
         far.send(raw)
     while True:  # as the process does it
@@ -143,13 +143,13 @@ def test_a_node_behind_an_inbox_does_what_one_without_does(pair, seed: int) -> N
             inbox.arrange(boxes)
         result = wait(inbox, near, 0.05)
         for _, frame in inbox.waiting():
-            told[1] += [text(answer) for answer in behind.node.handle(frame, behind.now_ns)]
+            answers[1] += [text(answer) for answer in behind.node.handle(frame, behind.now_ns)]
         if result & 0xFF:
-            told[1] += [text(answer) for answer in behind.node.handle(inbox.frame(16), behind.now_ns)]
+            answers[1] += [text(answer) for answer in behind.node.handle(inbox.frame(16), behind.now_ns)]
         elif result == NOTHING:
             break
-    assert told[0] == told[1]
-    assert len(told[0]) > 50
+    assert answers[0] == answers[1]
+    assert len(answers[0]) > 50
     statistics = direct.node.od.slots[0x2020 << 8 | 3]  # RPDOs applied
     assert direct.node.od.values == behind.node.od.values
     assert direct.node.od.values[statistics] > 10

@@ -46,7 +46,7 @@ def test_resolver_loss() -> None:
 
 
 @pytest.mark.conformance("CiA 402", "resolver lost with a jump of the angle; a slip that nothing tells of")
-def test_resolver_slip_is_told_by_nobody() -> None:
+def test_resolver_slip_is_reported_by_nobody() -> None:
     rig = turning()
     cycles(rig, 1)
     assert inject(rig, FaultKind.RESOLVER_SLIP, value=-125) == []

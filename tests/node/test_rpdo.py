@@ -1,4 +1,4 @@
-"""When an RPDO acts, and what is told of one that is wrong or stays away."""
+"""When an RPDO acts, and what is reported of one that is wrong or stays away."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_too_short() -> None:
     assert rig.send("301#060034")[0] == "081#1082110200000000"
     assert rig.read(0x6071) == 0
     assert rig.state == 0x40
-    assert rig.send("301#060034") == []  # told once
+    assert rig.send("301#060034") == []  # reported once
     assert "081#0000000000000000" in rig.send("301#06003412")
     assert rig.read(0x6071) == 0x1234
 
@@ -89,7 +89,7 @@ def test_deadline() -> None:
     rig.send("301#00000000")
     assert rig.wait(19.9) == []
     assert rig.wait(0.2)[0] == "081#5082110200000000"
-    assert [frame for frame in rig.wait(5000) if frame.startswith("081")] == []  # told once
+    assert [frame for frame in rig.wait(5000) if frame.startswith("081")] == []  # reported once
     assert "081#0000000000000000" in rig.send("301#00000000")
 
 
@@ -100,8 +100,8 @@ def test_two_deadlines_are_two_errors() -> None:
         assert rig.write(0x1400, sub, value, size) == 0
     rig.send("201#0000")
     rig.send("301#00000000")
-    told = [frame for frame in rig.wait(21) if frame.startswith("081")]
-    assert told == ["081#5082110100000000", "081#5082110200000000"]
+    emergencies = [frame for frame in rig.wait(21) if frame.startswith("081")]
+    assert emergencies == ["081#5082110100000000", "081#5082110200000000"]
     assert "081#0000110000000000" in rig.send("201#0000")  # bit 4 of 0x1001 stays: RPDO 2 is still missing
     assert rig.read(0x1001) == 0x11
     assert "081#0000000000000000" in rig.send("301#00000000")

@@ -19,7 +19,7 @@ def test_expedited_upload_and_download() -> None:
         < 581#4B17100064000000
         + 0
         < 701#7F
-        > 601#22171000E8030000  ; expedited, size not told: the object's length counts
+        > 601#22171000E8030000  ; expedited, size not indicated: the object's length counts
         < 581#6017100000000000
         > 601#4017100000000000
         < 581#4B171000E8030000

@@ -147,7 +147,7 @@ def test_a_measured_condition_holds_the_fault(condition: str) -> None:
     assert rig.state == SOD
 
 
-def test_a_fault_that_is_present_at_power_on_is_told() -> None:
+def test_a_fault_that_is_present_at_power_on_is_reported() -> None:
     rig = Rig()
     rig.node.drive.injected.add(GENERIC_FAULT)
     rig.wait(20)

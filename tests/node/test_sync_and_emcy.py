@@ -50,7 +50,7 @@ def test_sync_identifier_can_be_another_but_not_a_restricted_one() -> None:
 
 
 @pytest.mark.conformance("CiA 301", "loss after 1.5 x 0x1006 at least: EMCY 0x8700")
-def test_loss_of_sync_is_told_after_the_tolerance_and_ends_with_the_next() -> None:
+def test_loss_of_sync_is_reported_after_the_tolerance_and_ends_with_the_next() -> None:
     rig = Rig()
     rig.write(0x1006, 0, 1000, 4)
     rig.write(0x2010, 0, 20, 2)
@@ -142,7 +142,7 @@ def test_without_a_tolerance_one_and_a_half_periods_are_a_loss() -> None:
 
 
 @pytest.mark.conformance("CiA 301", "once an error, and once its end (0x0000)")
-def test_an_error_that_is_raised_again_is_told_once() -> None:
+def test_an_error_that_is_raised_again_is_reported_once() -> None:
     rig = Rig()
     emergency = rig.node.emergency
     emergency.bus.now_ns = rig.now_ns

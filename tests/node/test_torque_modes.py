@@ -63,7 +63,7 @@ def test_limits(index: int, forward: int, backward: int) -> None:
     assert rig.write(index, 0, rig.config.ratings.peak_permille + 1, 2) == 0x06090031
 
 
-def test_a_limit_of_the_plant_is_told() -> None:
+def test_a_limit_of_the_plant_is_reported() -> None:
     rig = enabled()
     rig.plant.limited = True
     rig.send("080#")

@@ -25,7 +25,7 @@ def failures(plain):
         {"more": 1.0},
     ],
 )
-def test_what_differs_is_told_by_its_key_and_both_values(change):
+def test_what_differs_is_reported_by_its_key_and_both_values(change):
     found = failures(ANSWER | change)
     assert found[0] == f"{JOB}: 1 differ by more than {DETERMINED:.0e}"
     assert next(iter(change)) in found[1]

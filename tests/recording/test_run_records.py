@@ -64,7 +64,7 @@ def test_a_list_that_claims_to_be_huge_is_refused():
         decode_record(bytes(whole))
 
 
-class Told:
+class FakeSession:
     """A session as the recorder sees it: requests become records, then rows name them; all by a list of choices."""
 
     def __init__(self) -> None:
@@ -116,23 +116,23 @@ STEPS = st.one_of(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(STEPS, max_size=40), st.sampled_from([1, 3000, None]), st.integers(0, 10))
 def test_no_row_names_a_record_that_its_file_has_not(tmp_path_factory, steps, max_bytes, late):
-    told, clock = Told(), FakeClock()
-    directory = tmp_path_factory.mktemp("told")
+    session, clock = FakeSession(), FakeClock()
+    directory = tmp_path_factory.mktemp("runs")
     rotation = RotationPolicy(max_bytes=max_bytes)
     recorder = None
     for place, (what, value) in enumerate([*steps, ("drain", 0)]):
         if recorder is None and place >= min(late, len(steps)):  # a recording that begins in the middle
             recorder = Recorder(
-                told.ring, directory / "run.mcap", RunHeader(time_offset_ns=WALL_NS),
+                session.ring, directory / "run.mcap", RunHeader(time_offset_ns=WALL_NS),
                 RecorderSettings(flush_interval_s=0.0, rotation=rotation), RecorderHooks(clock),
-                from_now=True, records=told.book,
+                from_now=True, records=session.book,
             )  # fmt: skip
         if what == "ask":
-            told.ask(value)
+            session.ask(value)
         elif what == "rows":
-            told.rows(*value)
-        elif what == "forget" and told.tick:
-            told.book.forget(told.ring.rows[(told.tick - 1) % len(told.ring.rows)])
+            session.rows(*value)
+        elif what == "forget" and session.tick:
+            session.book.forget(session.ring.rows[(session.tick - 1) % len(session.ring.rows)])
         elif what == "drain" and recorder is not None:
             recorder.drain_once()
             clock.advance_s(0.1)
@@ -142,22 +142,22 @@ def test_no_row_names_a_record_that_its_file_has_not(tmp_path_factory, steps, ma
         numbers = {kind: {r.number for r in run.records if r.kind == kind} for kind in NAMED_BY_ROWS}
         for kind, name in NAMED_BY_ROWS.items():
             assert set(run.rows[name].tolist()) <= numbers[kind], (file.name, kind)
-        if len(run.rows):  # and whatever the loop had not seen before the file is told in it, or was told before
+        if len(run.rows):  # and whatever the loop had not seen before the file is recorded in it, or was before
             assert [record.sequence for record in run.records] == sorted({r.sequence for r in run.records})
-    told_of = {r.sequence for file in directory.glob("*.mcap") for r in read_run(file).records}
+    recorded = {r.sequence for file in directory.glob("*.mcap") for r in read_run(file).records}
     after = recorder.statistics
     assert after.rows_lost == 0
-    assert told.sequence in told_of
+    assert session.sequence in recorded
 
 
 def test_what_is_in_force_does_not_grow_with_what_was_asked():
-    told = Told()
+    session = FakeSession()
     for _ in range(500):
         for kind in RecordKind:
-            told.ask(kind)
-        told.rows(1, behind=False)
-        told.book.forget(told.ring.rows[(told.tick - 1) % len(told.ring.rows)])
-        assert len(told.book.listen(lambda record: None)) <= 2 * len(RecordKind)
+            session.ask(kind)
+        session.rows(1, behind=False)
+        session.book.forget(session.ring.rows[(session.tick - 1) % len(session.ring.rows)])
+        assert len(session.book.listen(lambda record: None)) <= 2 * len(RecordKind)
 
 
 def test_a_record_that_a_later_version_knows_is_kept_as_the_last_of_its_kind():
@@ -168,30 +168,30 @@ def test_a_record_that_a_later_version_knows_is_kept_as_the_last_of_its_kind():
 
 
 def test_a_listener_hears_of_every_record_once_and_of_none_after_it_left():
-    told = Told()
+    session = FakeSession()
     heard = []
-    before = told.book.listen(heard.append)
-    told.ask(RecordKind.GOAL)
-    told.book.leave(heard.append)
-    told.ask(RecordKind.GOAL)
+    before = session.book.listen(heard.append)
+    session.ask(RecordKind.GOAL)
+    session.book.leave(heard.append)
+    session.ask(RecordKind.GOAL)
     assert [record.sequence for record in (*before, *heard)] == list(range(1, len(NAMED_BY_ROWS) + 2))
 
 
 def test_a_recording_that_cannot_be_opened_leaves_the_book_alone(tmp_path):
-    told = Told()
+    session = FakeSession()
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError):
-        Recorder(told.ring, tmp_path / "file" / "run.mcap", records=told.book)
-    assert told.book._listeners == []
+        Recorder(session.ring, tmp_path / "file" / "run.mcap", records=session.book)
+    assert session.book._listeners == []
 
 
 def test_records_survive_a_torn_file(tmp_path):
-    told, clock = Told(), FakeClock()
+    session, clock = FakeSession(), FakeClock()
     recorder = Recorder(
-        told.ring, tmp_path / "a.mcap", RunHeader(time_offset_ns=WALL_NS), RecorderSettings(flush_interval_s=0.0),
-        RecorderHooks(clock), records=told.book,
+        session.ring, tmp_path / "a.mcap", RunHeader(time_offset_ns=WALL_NS), RecorderSettings(flush_interval_s=0.0),
+        RecorderHooks(clock), records=session.book,
     )  # fmt: skip
-    told.rows(50, behind=False)
+    session.rows(50, behind=False)
     recorder.drain_once()
     part = recorder.current_path.read_bytes()
     (tmp_path / "torn.mcap").write_bytes(part + b"\x05torn")
@@ -207,8 +207,8 @@ def test_records_survive_a_torn_file(tmp_path):
 
 
 def test_random_rows_are_no_trouble_for_what_is_in_force():
-    told = Told()
-    still_in_force(told.book.listen(lambda record: None), random_rows(1)[0])
+    session = FakeSession()
+    still_in_force(session.book.listen(lambda record: None), random_rows(1)[0])
 
 
 def test_the_profile_that_ran_is_the_one_whose_record_its_rows_name():

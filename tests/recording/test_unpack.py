@@ -223,13 +223,13 @@ def test_a_damaged_mat_file_is_read_or_refused_in_our_words(tmp_path_factory, pl
     raw = mat({"time_s": np.arange(20) * 5e-4, **HOLDERS}, do_compression=compressed)
     place %= len(raw)
     path.write_bytes(raw[:place] + damage + raw[place + len(damage) :])
-    told = ""
+    message = ""
     try:
         read_table(path)
     except RecordingError as error:
-        told = str(error)
-    assert not told or told.startswith(str(path))
-    assert "Error" not in told.removeprefix(str(path))
+        message = str(error)
+    assert not message or message.startswith(str(path))
+    assert "Error" not in message.removeprefix(str(path))
 
 
 @given(st.binary(max_size=2000), st.sampled_from([15, 31]))

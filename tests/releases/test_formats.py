@@ -131,7 +131,7 @@ def test_a_newer_file_is_refused_and_names_who_reads_it(read, more, said):
         ("[1]", "is no format of this program"),
     ],
 )
-def test_a_file_of_another_kind_is_told_by_its_format(read, said, message):
+def test_a_file_of_another_kind_is_recognised_by_its_format(read, said, message):
     with pytest.raises(DocumentError, match=r"gadget\.yaml:1: format: ") as caught:
         read(f"format: {said}\nname: a\n")
     assert message in str(caught.value)

@@ -146,7 +146,7 @@ def test_every_figure_draws_on_paper_and_the_same_each_time(report, tmp_path):
     assert twice[0].read_bytes() == twice[1].read_bytes()
 
 
-def test_rows_of_the_made_up_bench_stick_as_told():
+def test_rows_of_the_made_up_bench_stick_as_specified():
     profile = reference(4.0)
     rows = bench_rows(profile, 0.2, 0)
     still = (rows["profile_sample"] >= 0) & (np.abs(rows["reference_rps"]) < 0.01)

@@ -57,7 +57,7 @@ def test_the_summary_gives_shares_of_what_all_others_leave_and_errors_of_what_th
     said = capsys.readouterr()
     assert code == 0
     assert SHARE in said.out
-    assert "held out: torque error 5.20 to 2.10 % (1.89 to 2.31) of the torque that the axis needs" in said.out
+    assert "held-out runs: torque error 5.20 % before, 2.10 % after (95 % interval 1.89 to 2.31 %)" in said.out
     assert "runs: fit and check have the same reference" in said.out
     assert "caution: Not explained: 4 mNm rms" in said.err
     assert (tmp_path / "out" / "model.yaml").exists()

@@ -124,7 +124,7 @@ def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     assert len(page.encode()) < LARGEST_PAGE_BYTES
 
 
-def test_a_certain_finding_is_told_with_cause_place_size_and_the_command_that_adopts_it():
+def test_a_certain_finding_is_reported_with_cause_place_size_and_the_command_that_adopts_it():
     sure = finding(alternatives=())
     verdict = diagnosis_report(SOURCE, diagnosis(findings=(sure, finding(name="backlash", alternatives=())))).verdict
     assert verdict.headline == (
@@ -244,7 +244,7 @@ def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
     assert "no run held out" in report.subtitle
 
 
-def test_a_free_curve_is_told_by_its_range_and_not_knot_by_knot():
+def test_a_free_curve_is_reported_by_its_range_and_not_knot_by_knot():
     knots = {"kind": 2.0, "count": 2.0, "x00": -2.0, "x01": 3.0, "y00": -0.001, "y01": 0.004}
     curve = finding(name="unknown:current", parameters=tuple(Number(k, v, None, "") for k, v in knots.items()))
     assert curve_words(curve) == "a curve of 2 knots over -2 to 3: from -0.001 to 0.004 Nm/rps"
@@ -331,9 +331,9 @@ def test_numbers_of_a_finding_that_are_not_finite_do_not_stop_the_page(tmp_path)
 def test_each_run_stands_by_itself_and_what_it_does_not_say_is_not_a_number():
     def look(name, inertia, one_way):
         sure = Estimate(0.003, 0.0001, True, 1.0)
-        told = dict.fromkeys(PARAMETERS, sure) | {"inertia_nm_s2_per_rev": Estimate(inertia, 2e-5, True, 1.0)}
-        told["offset_nm"] = sure._replace(determined=not one_way)
-        return RunLook(name, 0.0, told, one_way, 4000, 3.0, 0.1)
+        estimates = dict.fromkeys(PARAMETERS, sure) | {"inertia_nm_s2_per_rev": Estimate(inertia, 2e-5, True, 1.0)}
+        estimates["offset_nm"] = sure._replace(determined=not one_way)
+        return RunLook(name, 0.0, estimates, one_way, 4000, 3.0, 0.1)
 
     remark = Remark("contradiction", ("inertia_nm_s2_per_rev",), ("a", "b"), "a and b contradict each other")
     looks = RunsLook((look("a", 1e-3, False), look("b", 2e-3, True), RunLook("c", 0.0, {}, True, 3, 1e9, 1.0)),
@@ -381,13 +381,13 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     remark = Remark("drift", (), ("track",), "the inertia drifts over the angle")
     reason = "implausible for a machine: second_surface with memory_rev 1e-06 rev is outside 1e-06 to 10000"
     refused = finding(name="second_surface", accepted=False, reason=reason, picture=None, law_picture=None)
-    told = in_words_of_axis(diagnosis(
+    found = in_words_of_axis(diagnosis(
         units="linear", findings=(finding(), viscous, curve, refused), headline="A torque is missing.",
         cautions=("it cannot be compensated without a homed angle",), runs_look=RunsLook([], (remark,), 0.0),
         channels=tuple(ResidualChannel(word, 0.6, 0.02, True, False, 10) for word in ("motor_angle", "output_angle")),
         unexplained_rest=Rest(2.0, 1.0, None, ("torque", "output_angle"), "it goes with the torque"),
     ))  # fmt: skip
-    report = diagnosis_report(SOURCE, told)
+    report = diagnosis_report(SOURCE, found)
     page = render_page(report).split("<script")[0]
     shown = re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
     of_a_shaft = re.compile(r"(?<![\w:])(torques?|inertia|angle|Nm|rps|rev)(?![\w:])|\w+_(nm|rps|rev)\b")
@@ -396,7 +396,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     assert "second_surface with memory_m 1e-06 m" in shown
     channels = next(figure for figure in report.figures if figure.name == "channels")
     assert len(set(channels.x.categories)) == 2
-    effects = {one["name"]: one for one in report_object(told)["effects"]}
+    effects = {one["name"]: one for one in report_object(found)["effects"]}
     written = effects["asymmetric_viscous"]
     assert written["parameters"] == {"excess_nm_per_rps": -39.0}  # the key of the model file
     assert written["symbols"] == {"excess_nm_per_rps": "excess_n_s_per_m"}
@@ -407,7 +407,7 @@ def test_nothing_of_a_linear_axis_speaks_of_a_shaft():
     assert rotary["units"] == {"excess_nm_per_rps": "Nm/rps"}
 
 
-def test_a_linear_axis_is_told_in_its_own_units():
+def test_a_linear_axis_is_reported_in_its_own_units():
     report = diagnosis_report(SOURCE, diagnosis(units="linear"))
     tables = {table.name: table for table in report.tables}
     assert [column.unit for column in tables["errors"].columns[:3]] == ["%", "N", "mm/s"]

@@ -160,7 +160,7 @@ def test_the_friction_band_holds_the_true_curve(made):
 
 
 @pytest.mark.slow
-def test_what_is_not_told_stands_first_and_in_a_table(tmp_path):
+def test_what_is_not_determined_stands_first_and_in_a_table(tmp_path):
     time = np.arange(16_000) * PERIOD_S
     current = 1.0 + 0.4 * np.sin(2 * np.pi * time) + 0.3 * np.sin(2 * np.pi * 7.0 * time)
     fast = on_disk(record_of(current, lsb_rev=2.0**-15, noise_rev=1e-5), tmp_path, "fast")

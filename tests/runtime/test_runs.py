@@ -8,7 +8,7 @@ import threading
 import time
 
 import pytest
-from daemon.rig import PATIENCE_S, ToldNode, axis_file, edit
+from daemon.rig import PATIENCE_S, CommandedNode, axis_file, edit
 
 from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port
@@ -28,7 +28,7 @@ def run(tmp_path, capsys, node_faults=(), meanwhile=None, **drive):
     edit(axis, lambda content: content["drive"].update(drive))
     bus, out = f"loopback:{free_loopback_port()}", tmp_path / "run.mcap"
     over = threading.Event()
-    with ToldNode(bus, NodeConfig(sync_loss_tolerance_ms=10_000, faults=node_faults)) as node:
+    with CommandedNode(bus, NodeConfig(sync_loss_tolerance_ms=10_000, faults=node_faults)) as node:
 
         def watch():
             while not over.wait(0.02):
@@ -45,14 +45,14 @@ def run(tmp_path, capsys, node_faults=(), meanwhile=None, **drive):
 
 
 def warn_then_fail(node, over):
-    node.tell(lambda told: node._send([pack_frame(0x081, struct.pack("<HB5s", 0xFF00, 0, b"\x07"))]))
+    node.tell(lambda its: node._send([pack_frame(0x081, struct.pack("<HB5s", 0xFF00, 0, b"\x07"))]))
     deadline_s = time.monotonic() + 0.5  # several polls of the run
     while time.monotonic() < deadline_s and not over.wait(0.02):
         pass
-    node.tell(lambda told: told.faults.inject(Fault(FaultKind.OVERCURRENT)))
+    node.tell(lambda its: its.faults.inject(Fault(FaultKind.OVERCURRENT)))
 
 
-def test_a_fault_and_the_warning_before_it_are_told_with_their_words(tmp_path, capsys):
+def test_a_fault_and_the_warning_before_it_are_reported_with_their_words(tmp_path, capsys):
     code, result, events = run(tmp_path, capsys, meanwhile=warn_then_fail, warning_codes=[0xFF00])
     assert code == 70
     assert "EMCY 0x2310 (continuous over-current at the output), error register 0x03" in result["fault"]

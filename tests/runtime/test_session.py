@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 import pytest
-from daemon.rig import PATIENCE_S, ToldNode, axis_file
+from daemon.rig import PATIENCE_S, CommandedNode, axis_file
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.drive.simulated.node.config import NodeConfig
@@ -30,14 +30,14 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-def test_a_loop_that_hangs_is_told_of_in_bounded_time_and_the_drive_is_left_without_it(tmp_path, monkeypatch):
+def test_a_loop_that_hangs_is_reported_in_bounded_time_and_the_drive_is_left_without_it(tmp_path, monkeypatch):
     """It sleeps for an hour before its first tick; after a tick it might still see that it has to end."""
     monkeypatch.setattr(sessions, "STOP_TIMEOUT_S", 0.2)
     monkeypatch.setattr(sessions, "START_AHEAD_NS", 3600 * NS_PER_S)
     plan = make_plan(axis_file(tmp_path))
     bus = f"loopback:{free_loopback_port()}"
     config = plan_session(plan)
-    with ToldNode(bus, NodeConfig(sync_loss_tolerance_ms=10_000)) as node:
+    with CommandedNode(bus, NodeConfig(sync_loss_tolerance_ms=10_000)) as node:
         drive = open_drive(plan, bus)
         drive.connect()
         session = Session(drive, config)

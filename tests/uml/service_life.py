@@ -275,7 +275,7 @@ def find_the_drive() -> dict[str, Any]:
 
 
 def run_a_profile() -> dict[str, Any]:
-    """Enabled and moving, and told by the command that people use. Nobody takes the unit from under it."""
+    """Enabled and moving, and controlled by the command that people use. Nobody takes the unit from under it."""
     with client() as api:
         set_running(api)
     code, said = run(PROGRAM, "ctl", "--axis", INTERFACE, "status")
@@ -295,7 +295,7 @@ def reload() -> dict[str, Any]:
             return [event["text"] for event in events if event["kind"] == "reload" and event["level"] == level]
 
         code, _ = run("systemctl", "reload", UNIT)
-        (told,) = until("a reload", lambda: reloads("warning"))
+        (warning,) = until("a reload", lambda: reloads("warning"))
         info, state = api.call("info"), api.call("status")["state"]
         whole = AXIS.read_text()
         AXIS.write_text("rubbish: [")
@@ -304,7 +304,7 @@ def reload() -> dict[str, Any]:
         AXIS.write_text(whole)
         edit("rate_hz: 200", "rate_hz: 100")
         return {
-            "code": code, "told": told, "refused": refused, "rate_hz": info["rate_hz"], "state": state,
+            "code": code, "warning": warning, "refused": refused, "rate_hz": info["rate_hz"], "state": state,
             "gain": info["keys"]["controller.proportional_a_per_rps"], "still": api.call("status")["state"],
             "pid": unit()["MainPID"],
         }  # fmt: skip

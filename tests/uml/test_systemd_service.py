@@ -206,7 +206,7 @@ def run_a_profile(row):
 @step
 def reload(row):
     assert row["code"] == 0
-    assert row["told"] == "reloaded by SIGHUP: controller; needs a restart: loop"
+    assert row["warning"] == "reloaded by SIGHUP: controller; needs a restart: loop"
     assert "all goes on as it was" in row["refused"]
     assert "vcan0.yaml:1" in row["refused"]
     assert (row["gain"], row["rate_hz"]) == (0.12, 100)

@@ -253,7 +253,7 @@ def test_a_gain_is_tried_with_a_step_before_and_after_and_taken_back(shown):
     assert shown.served.client.call("info")["keys"]["controller.proportional_a_per_rps"] == 0.1
 
 
-def test_a_value_that_the_gates_refuse_is_told_and_nothing_changes(shown):
+def test_a_value_that_the_gates_refuse_is_reported_and_nothing_changes(shown):
     shown.state("ready")
     row = shown.page.locator("#gains tbody tr").nth(4)
     row.locator("input").fill("-3")
@@ -403,8 +403,8 @@ def test_a_simulated_drive_is_started_and_its_axis_commissioned_with_a_question_
         record = uncommissioned.with_name("canopen.commissioning.yaml")
         asks = "document.querySelector('#ask').open && document.querySelector('#ask-text').textContent"
         ended = "fffoWorkbench.state.jobs[0].state !== 'running'"
-        next_told = "Next: commission the axis, once its simulated drive runs (tab Axis)"
-        assert shown.page.text_content("#next") == next_told
+        next_step = "Next: commission the axis, once its simulated drive runs (tab Axis)"
+        assert shown.page.text_content("#next") == next_step
         shown.page.click("#tab-axis")
         shown.page.click("#simulate")
         shown.until("document.querySelector('#simulated-state').textContent.includes('ready')", COMPILING_S)
@@ -480,7 +480,7 @@ def test_drive_and_daemon_are_started_and_stopped_from_the_page_and_commissionin
         shown.page.click("#unserve")
         shown.until("!fffoWorkbench.state.daemon")
         shown.until("fffoWorkbench.state.services.serve.state === 'cancelled'")
-        shown.page.click("#unsimulate")
+        shown.page.click("#stop-simulation")
         shown.until("fffoWorkbench.state.services.simulate.state === 'cancelled'")
         shown.page.click("#tab-work")
         shown.until("!document.querySelector('#commission').disabled")

@@ -43,8 +43,8 @@ def shown(fleet, facts_file, chromium, tmp_path):  # noqa: F811
 
 
 def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_by_a_screen_reader(shown):
-    told = shown.page.evaluate("fffoFleet.state")
-    assert (told["runs"], told["waiting"], told["drives"]) == (DRIVES * RUNS, 0, DRIVES)
+    state = shown.page.evaluate("fffoFleet.state")
+    assert (state["runs"], state["waiting"], state["drives"]) == (DRIVES * RUNS, 0, DRIVES)
     assert shown.page.locator("#fleet-drives tbody tr").count() == DRIVES
     line = shown.do("#fleet-add", by_key=True)["line"]
     assert line.startswith("fffo-drive fleet add ")
@@ -73,7 +73,7 @@ def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_
     assert shown.page.is_visible("#job-title")
 
 
-def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_is_told(shown):
+def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_is_reported(shown):
     shown.page.get_by_role("button", name="history of SN3").click()
     assert shown.page.input_value("#fleet-serial") == "SN3"
     shown.page.fill("#fleet-serial", "SN33")
@@ -93,7 +93,7 @@ def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, 
     shown.close()
 
 
-def test_a_place_without_a_store_is_told_and_adding_makes_one(facts_file, chromium, tmp_path):  # noqa: F811
+def test_a_place_without_a_store_is_reported_and_adding_makes_one(facts_file, chromium, tmp_path):  # noqa: F811
     shown = FleetPage(chromium, tmp_path, tmp_path / "new store", facts_file)
     shown.until("document.querySelector('#fleet-error').textContent.includes('no store here')")
     assert shown.page.text_content("#next") == "Next: tick runs on the first tab, and add them"
@@ -106,19 +106,19 @@ def test_a_place_without_a_store_is_told_and_adding_makes_one(facts_file, chromi
 
 
 @pytest.mark.parametrize(
-    ("store", "told"),
+    ("store", "next_step"),
     [
         (None, "Next: name a store, with --fleet STORE or as daemon.fleet in the axis file"),
         ("new store", "Next: add runs, from the first tab or a folder: fffo-drive fleet add STORE --from FOLDER"),
     ],
 )
-def test_without_store_or_runs_the_tab_says_what_helps_there(store, told, chromium, tmp_path):
+def test_without_store_or_runs_the_tab_says_what_helps_there(store, next_step, chromium, tmp_path):
     place = None if store is None else str(tmp_path / store)
     shown = Shown(chromium, Workbench(tmp_path / "out", None, None, (), None, place))
     assert shown.page.text_content("#next") == "Next: record a run, or add a file"
     shown.page.click("#tab-fleet")
     shown.until("fffoFleet.state")
-    assert shown.page.text_content("#next") == told
+    assert shown.page.text_content("#next") == next_step
     shown.page.click("#tab-work")
     assert shown.page.text_content("#next") == "Next: record a run, or add a file"
     shown.close()

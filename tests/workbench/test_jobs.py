@@ -40,7 +40,7 @@ def test_what_the_command_refuses_is_said():
     assert "nowhere.yaml" in "\n".join(job.lines)
 
 
-def test_progress_is_told_in_lines_that_are_no_output(monkeypatch, capsys):
+def test_progress_is_reported_in_lines_that_are_no_output(monkeypatch, capsys):
     monkeypatch.setenv(LINES_ENVIRONMENT, "1")
     with progress_bar("diagnose", quiet=True) as tell:
         tell(0.25)

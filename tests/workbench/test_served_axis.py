@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from live.told_daemon import Refusal, ToldDaemon
+from live.scripted_daemon import Refusal, ScriptedDaemon
 
 from fffo_drive.daemon.places import CONTROL, WATCH
 from fffo_drive.daemon.served_run import record_served
@@ -28,9 +28,9 @@ STATUS = {"state": "enabled", "epoch": 7, "obstacles": [], "fault": None, "toggl
 
 @pytest.fixture
 def daemon(tmp_path):
-    with ToldDaemon(tmp_path) as told:
-        (told.sockets / WATCH).symlink_to(told.sockets / CONTROL)
-        yield told
+    with ScriptedDaemon(tmp_path) as daemon:
+        (daemon.sockets / WATCH).symlink_to(daemon.sockets / CONTROL)
+        yield daemon
 
 
 @pytest.fixture
@@ -45,8 +45,8 @@ def test_a_request_says_on_whose_behalf_and_in_which_epoch(bench, daemon):
     (jog,), (start,) = daemon.asked("jog"), daemon.asked("start")
     assert jog.params == {"to_rps": 1.0, "epoch": 7, "who": "anna (tune)"}
     assert start.params["who"] == "role move"
-    told = [json.loads(line) for line in (bench.directory / AUDIT_NAME).read_text().splitlines()]
-    assert [(one["role"], one.get("name"), one["action"]) for one in told] == [
+    entries = [json.loads(line) for line in (bench.directory / AUDIT_NAME).read_text().splitlines()]
+    assert [(one["role"], one.get("name"), one["action"]) for one in entries] == [
         ("tune", "anna", "jog"), ("move", None, "start"),
     ]  # fmt: skip
 

@@ -183,10 +183,10 @@ def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
     json.dumps(state)
 
 
-def test_an_axis_file_with_a_mistake_is_told_and_the_bench_lives(workbench, axis):
+def test_an_axis_file_with_a_mistake_is_reported_and_the_bench_lives(workbench, axis):
     axis.write_text(axis.read_text().replace("speed_limit_rps", "speed_limt_rps"))
-    told = workbench.state(Asker("tune"))["axis"]["error"]
-    assert "speed_limt_rps" in told
+    error = workbench.state(Asker("tune"))["axis"]["error"]
+    assert "speed_limt_rps" in error
 
 
 def test_only_axis_files_of_this_bench_can_be_chosen(workbench, tmp_path):

@@ -23,7 +23,7 @@ SCREEN = {"width": 1280, "height": 800}
 NARROW = {"width": 420, "height": 900}
 SERIOUS = ("serious", "critical")
 # what a page shows when something has not come about: the axis, what the page says, the job
-TOLD = """(() => {
+PAGE_TEXT = """(() => {
   const text = (id) => document.getElementById(id).textContent;
   const places = ["connection", "axis-said", "axis-link", "axis-fault", "axis-obstacles", "said", "ask-text"];
   return JSON.stringify({ axis: fffoAxis.status, jogging: Boolean(fffoAxis.jogging),
@@ -49,7 +49,7 @@ class Shown:
     def until(self, expression, patience_s=PATIENCE_S):
         """Wait until it is so."""
         value = waited_for(self.page, expression, patience_s)
-        assert value, f"never: {expression}; {self.page.evaluate(TOLD)}"
+        assert value, f"never: {expression}; {self.page.evaluate(PAGE_TEXT)}"
         return value
 
     def is_found_by_a_screen_reader_and_fits_a_narrow_screen(self):

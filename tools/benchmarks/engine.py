@@ -119,6 +119,6 @@ def first_names(said: dict[str, Any], most: int = 4) -> str:
     return ", ".join(named) or said["verdict"].replace("_", " ")
 
 
-def rest_is_told(said: dict[str, Any]) -> bool:
+def residual_is_reported(said: dict[str, Any]) -> bool:
     """True if the report states an unexplained residual, with findings or without."""
     return said["verdict"] == "unexplained" or said.get("unexplained_rest") is not None

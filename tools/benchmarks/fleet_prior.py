@@ -58,11 +58,11 @@ class Rows(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Errors over the sizes of parameters (d, p), whether intervals cover (d, p), drives wrongly told."""
+    """Errors over the sizes of parameters (d, p), whether intervals cover (d, p), drives wrongly flagged."""
 
     error: Floats
     covered: Floats
-    told: int
+    flagged: int
 
 
 def staircase(period_s: float) -> Profile:
@@ -143,16 +143,16 @@ def rms(values: Floats) -> Floats:
 
 
 def other_drives(directory: Path, case: Case, candidate: Candidate, population: Population) -> list[tuple[int, int]]:
-    """How many drives of each other population are told, with and without the temperature of their run."""
+    """How many drives of each other population are flagged, with and without the temperature of their run."""
     found = []
     for number, more in enumerate(MORE_FRICTION):
-        told = [0, 0]
+        flagged = [0, 0]
         for drive in range(OTHERS):
             life = Life(1000 * number + drive, RUNS, NONE, 0, 0, more_friction=more)
             run = short_run(case, candidate, life, OTHER, directory / f"other_{life.number}.npz")
             for place, degc in enumerate((run.degc, None)):
-                told[place] += posterior(population, [run.estimate(degc)]).other_population
-        found.append((told[0], told[1]))
+                flagged[place] += posterior(population, [run.estimate(degc)]).other_population
+        found.append((flagged[0], flagged[1]))
     return found
 
 
@@ -220,7 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows.append([kind, text, *(f"{r:.2f}" for r in rms(found.error) / full_error)])
             share = found.covered.mean(axis=0)
             coverage.append([kind, text, *(f"{100 * one:.1f}" for one in share), f"{100 * found.covered.mean():.1f}"])
-            wrongly.append(f"{kind}, {text}: {found.told} of {len(measured)}")
+            wrongly.append(f"{kind}, {text}: {found.flagged} of {len(measured)}")
     others = other_drives(shorts, case, candidate, population)
     spread = np.sqrt(np.diag(population.covariance))[place] / scale
     header = ["motion", "prior", *names]

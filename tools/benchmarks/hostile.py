@@ -42,7 +42,7 @@ def run_passes(daemon: Streaming, axis: Axis, seconds: float, passes: int) -> tu
         return axis.undisturbed("quiet", lambda: measured(0.5 * seconds))
 
     def attacked() -> Figures:
-        with hostile(daemon.sockets, daemon.told(VIEWERS_FILE)) as counters:
+        with hostile(daemon.sockets, daemon.published(VIEWERS_FILE)) as counters:
             begin = sum(counter.value for counter in counters)
             figures = axis.undisturbed("hostile", measured)
             rates.append((sum(counter.value for counter in counters) - begin) / seconds)

@@ -126,9 +126,9 @@ class ViewerCalls:
         self._number = 0
         while not self._services:
             content = self._socket.recv(timeout=PATIENCE_S)
-            told = json.loads(content) if isinstance(content, str) else {}
-            if told.get("op") == "advertiseServices":
-                self._services = {s["name"].rpartition("/")[2]: s["id"] for s in told["services"]}
+            parsed = json.loads(content) if isinstance(content, str) else {}
+            if parsed.get("op") == "advertiseServices":
+                self._services = {s["name"].rpartition("/")[2]: s["id"] for s in parsed["services"]}
 
     def call(self, method: str, params: dict[str, Any]) -> Any:
         """The result. Raises PermissionError with the server's words."""
@@ -141,9 +141,9 @@ class ViewerCalls:
                 if raw[0] == 3 and struct.unpack_from("<II", raw, 1)[1] == self._number:
                     return json.loads(raw[13 + struct.unpack_from("<I", raw, 9)[0] :])
                 continue
-            told = json.loads(raw)
-            if told["op"] == "serviceCallFailure" and told["callId"] == self._number:
-                raise PermissionError(told["message"])
+            parsed = json.loads(raw)
+            if parsed["op"] == "serviceCallFailure" and parsed["callId"] == self._number:
+                raise PermissionError(parsed["message"])
 
     def close(self) -> None:
         """Hang up."""

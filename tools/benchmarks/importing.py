@@ -120,11 +120,11 @@ def of_set(program: list[str], one: Published, out: Path, sample: bool) -> list[
     if done.returncode:
         return [*begin, f"refused: {done.stderr.strip().splitlines()[-1].replace(f'{out}/', '')}"]
     parameters = {row["symbol"]: row for row in json.loads(done.stdout)["parameters"] if row["fitted"]}
-    told = ", ".join(
+    fitted = ", ".join(
         f"{name} {parameters[name]['value']:.4g} ± {parameters[name]['sd']:.2g} {parameters[name]['unit']}"
         for name in ("J", "Fc") if name in parameters and parameters[name]["sd"] is not None
     )  # fmt: skip
-    return [*begin, f"{told} ({seconds:.0f} s)"]
+    return [*begin, f"{fitted} ({seconds:.0f} s)"]
 
 
 if __name__ == "__main__":

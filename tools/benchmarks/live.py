@@ -38,7 +38,7 @@ class Streaming(Daemon):
         super().__init__(directory, bus)
         self._command += ["--scope", "0", "--foxglove", "0"]
 
-    def told(self, name: str) -> str:
+    def published(self, name: str) -> str:
         """What it left beside its sockets."""
         deadline_s = time.monotonic() + PATIENCE_S
         while not (path := self.sockets / name).exists():
@@ -100,7 +100,7 @@ def clients(daemon: Streaming, pages: int, viewers: int) -> Iterator[Any]:
     """So many for as long as the block lasts; yields the counter of the frames that they got."""
     context = multiprocessing.get_context("spawn")
     stop, seen = context.Event(), context.Value("q", 0)
-    arguments = (daemon.told(URL_FILE), daemon.told(VIEWERS_FILE), (pages, viewers), stop, seen)
+    arguments = (daemon.published(URL_FILE), daemon.published(VIEWERS_FILE), (pages, viewers), stop, seen)
     process = context.Process(target=_look, args=arguments)
     process.start()
     try:
@@ -145,7 +145,7 @@ def pictures_hz(daemon: Streaming, axis: Axis, seconds: float) -> float | None:
         return None
     with clients(daemon, PAGES - 1, VIEWERS), headless.chromium() as browser:
         page = browser.new_page(viewport={"width": 1366, "height": 768})
-        page.goto(f"{daemon.told(URL_FILE)}#{daemon.told(TOKEN_FILE)}")
+        page.goto(f"{daemon.published(URL_FILE)}#{daemon.published(TOKEN_FILE)}")
         axis.keep_running("browser")
         time.sleep(10.0 if seconds > 5.0 else 2.0)  # a window full of curves
         now = "[fffoScope.pictures, performance.now() / 1000]"

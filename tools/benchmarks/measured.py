@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from common import ROOT, Report, finish, main, parser, shown
-from engine import Call, claimed, diagnosed, first_names, in_parallel, rest_is_told, write_answer
+from engine import Call, claimed, diagnosed, first_names, in_parallel, residual_is_reported, write_answer
 from measured_sets import write_all
 from rows import CUTOFF_HZ, Textbook, needed_nm, rms, rows_of
 
@@ -159,7 +159,7 @@ def _row(report: Report, case: Case, said: dict[str, Any]) -> list[str]:
     report.facts[case.name] = {**book, "ours_nm": ours_nm, "said": first_names(answer), **cost}
     return [
         *start, first_names(answer), *books, percent(before["torque_rms_nm"]), percent(ours_nm),
-        "yes" if rest_is_told(answer) else "no",
+        "yes" if residual_is_reported(answer) else "no",
         f"{answer['seconds']:.1f} s; {cost['wall_s']:.1f} s, {cost['cpu_s']:.1f} s, {cost['peak_mb']:.0f} MB",
     ]  # fmt: skip
 

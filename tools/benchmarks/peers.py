@@ -15,7 +15,7 @@ from blind_drives.run import diagnose_folder, records_of
 from blind_drives.score import wilson
 from common import ROOT, Report, finish, main, parser, shown
 from drive_folders import DriveFolder, drive_folders
-from engine import Call, accepted_of, first_names, in_parallel, rest_is_told, write_answer
+from engine import Call, accepted_of, first_names, in_parallel, residual_is_reported, write_answer
 from rows import CUTOFF_HZ, Floats, rms
 
 from fffo_drive.identification.coordinates import PARAMETERS
@@ -119,7 +119,7 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
     """A line a drive. `said`: our report and the peers' answer of each."""
     report = Report(NAME, PURPOSE)
     names = list(said[0][1]["peers"])
-    table, near, untold = [], 0, 0
+    table, near, silent = [], 0, 0
     false_terms: dict[str, list[int]] = {name: [] for name in names}
     false_ours: list[int] = []
     for drive, (ours, others) in zip(drives, said, strict=True):
@@ -130,7 +130,7 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
         best_nm = min(errors.values())
         near += after["torque_rms_nm"] <= WITHIN * best_nm
         beaten = best_nm < after["interval_95"]["torque_rms_nm"][0]
-        untold += beaten and not rest_is_told(ours)
+        silent += beaten and not residual_is_reported(ours)
         if drive.truth is not None and not drive.truth["effects"]:
             false_ours.append(len(accepted_of(ours)))
             for name, peer in others["peers"].items():
@@ -140,13 +140,13 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
         table.append([
             drive.name, drive.effects, first_names(ours), f"{scale * others['base_nm']:.2f}",
             f"{scale * before['torque_rms_nm']:.2f}", f"{scale * after['torque_rms_nm']:.2f}", *cells,
-            "yes" if rest_is_told(ours) else "no",
+            "yes" if residual_is_reported(ours) else "no",
         ])  # fmt: skip
     share = wilson(near, len(drives))
     what = f"drives on which ours is within {WITHIN:g} times the best peer's held-out error"
     report.bounded(what, str(share), share.value >= SHARE, f">= {100 * SHARE:.0f} %")
-    report.bounded("a peer better by more than our interval, and no residual reported", str(untold), untold == 0, "0")
-    report.facts |= {"near": near, "untold": untold, "drives": len(drives), "peers": [peers for _, peers in said]}
+    report.bounded("a peer better by more than our interval, and no residual reported", str(silent), silent == 0, "0")
+    report.facts |= {"near": near, "silent": silent, "drives": len(drives), "peers": [peers for _, peers in said]}
     if false_ours:
         report.bounded("findings per drive without effects, ours", f"{np.mean(false_ours):.2f}")
         for name, terms in false_terms.items():

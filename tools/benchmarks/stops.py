@@ -51,7 +51,7 @@ class Witness:
     def __init__(self, bus: str) -> None:
         self._link = open_link(bus, filters=[CanFilter(RPDO1, FUNCTION_MASK), CanFilter(TPDO2, FUNCTION_MASK)])
         self._end = threading.Event()
-        self.commanded_ns = self.told_ns = self._begun_ns = 0
+        self.commanded_ns = self.confirmed_ns = self._begun_ns = 0
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
@@ -67,18 +67,18 @@ class Witness:
                 continue
             if kind == RPDO1 and not self.commanded_ns and word & ENABLE_OPERATION != ENABLE_OPERATION:
                 self.commanded_ns = at_ns
-            elif kind == TPDO2 and not self.told_ns and not is_operation_enabled(word):
-                self.told_ns = at_ns
+            elif kind == TPDO2 and not self.confirmed_ns and not is_operation_enabled(word):
+                self.confirmed_ns = at_ns
 
     def begin(self) -> None:
         """What came before does not count."""
         self._begun_ns = time.time_ns()
-        self.told_ns = self.commanded_ns = 0
+        self.confirmed_ns = self.commanded_ns = 0
 
     def wait(self) -> None:
         """Until both were heard. Raises RuntimeError when they are not."""
         deadline_s = time.monotonic() + PATIENCE_S
-        while not (self.commanded_ns and self.told_ns):
+        while not (self.commanded_ns and self.confirmed_ns):
             if time.monotonic() > deadline_s:
                 raise RuntimeError("a stop was answered, and the bus did not show it")
             time.sleep(0.001)
@@ -122,7 +122,7 @@ def moving(client: DaemonClient) -> None:
 
 def quick_stops(daemon: Daemon, witness: Witness, rounds: int, fresh: bool) -> dict[str, list[float]]:
     """Milliseconds from the byte of a quick stop to three events, round by round."""
-    found: dict[str, list[float]] = {"commanded": [], "told": [], "answered": []}
+    found: dict[str, list[float]] = {"commanded": [], "confirmed": [], "answered": []}
     with daemon.client() as client:
         for _ in range(rounds):
             moving(client)
@@ -139,7 +139,7 @@ def quick_stops(daemon: Daemon, witness: Witness, rounds: int, fresh: bool) -> d
                 raise RuntimeError(f"a stop failed: {answer}")
             witness.wait()
             for name, then_ns in (
-                ("commanded", witness.commanded_ns), ("told", witness.told_ns), ("answered", answered_ns),
+                ("commanded", witness.commanded_ns), ("confirmed", witness.confirmed_ns), ("answered", answered_ns),
             ):  # fmt: skip
                 found[name].append((then_ns - sent_ns) / 1e6)
     return found
@@ -155,13 +155,13 @@ class Channels:
         from websockets.sync.client import connect
 
         self._daemon = daemon
-        self.key = daemon.told(TOKEN_FILE)
-        url = daemon.told(URL_FILE)
+        self.key = daemon.published(TOKEN_FILE)
+        url = daemon.published(URL_FILE)
         self._page = held.enter_context(
             connect(f"{url.replace('http', 'ws')}live", origin=url.rstrip("/"), compression=None, max_size=None)  # type: ignore[arg-type]
         )
         self._page.send(json.dumps({"do": "token", "token": self.key}))
-        self._viewer = held.enter_context(contextlib.closing(ViewerCalls(daemon.told(VIEWERS_FILE))))
+        self._viewer = held.enter_context(contextlib.closing(ViewerCalls(daemon.published(VIEWERS_FILE))))
         self._control = held.enter_context(daemon.client())
         self._numbers = iter(range(1, 1_000_000))
 
@@ -188,8 +188,8 @@ class Channels:
             self._page.send(json.dumps({"do": "call", "id": number, "method": method, "params": params}))
         while True:
             message = self._page.recv(timeout=PATIENCE_S)
-            told = json.loads(message) if isinstance(message, str) else {}
-            answer = told.get("answer", told)
+            parsed = json.loads(message) if isinstance(message, str) else {}
+            answer = parsed.get("answer", parsed)
             if answer.get("id") == number:
                 if answer.get("error"):
                     raise CallError(0, str(answer["error"]))
@@ -376,7 +376,7 @@ def beside(variant: str, daemon: Streaming) -> Iterator[None]:
     if variant == "quiet":
         yield
         return
-    with hostile(daemon.sockets, daemon.told(VIEWERS_FILE)):
+    with hostile(daemon.sockets, daemon.published(VIEWERS_FILE)):
         yield
 
 
@@ -435,8 +435,8 @@ def run() -> int:
         f"Hostile: {COUNT} clients, some on the read-only socket without any right, and {VIEWERS} viewers without the "
         "key that request stops without a pause, which are refused; all on the same cores. The daemon has the nice "
         "value of its unit.",
-        "Commanded: the first frame on the bus that no longer requests Operation Enabled; told: the first statusword "
-        "that confirms it. Both by the kernel's time stamps of the frames. The axis was turning.",
+        "Commanded: the first frame on the bus that no longer requests Operation Enabled; confirmed: the first "
+        "statusword that says so. Both by the kernel's time stamps of the frames. The axis was turning.",
         f"Faults by load: {faults or 'none'}.",
     ]
     return finish(report, chosen)

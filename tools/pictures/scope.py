@@ -75,7 +75,7 @@ def look(daemon: Streaming, axis: Axis, bus: str, everything: Path | None) -> No
         width, height = SIZES["laptop"]
         page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="light")
         page.set_default_timeout(120_000)
-        page.goto(f"{daemon.told(URL_FILE)}#{daemon.told(TOKEN_FILE)}")
+        page.goto(f"{daemon.published(URL_FILE)}#{daemon.published(TOKEN_FILE)}")
         wait(page, "fffoScope.store && fffoScope.mayCommand")
         axis.keep_running("browser")
         wait(page, "document.body.dataset.state === 'running'")
@@ -117,7 +117,7 @@ def scope_frames(browser: Browser, daemon: Streaming, axis: Axis) -> list[tuple[
     """The scope beside a run, with the friction observer switched off and on."""
     page = browser.new_page(viewport=dict(zip(("width", "height"), RECORDING_SIZE, strict=True)), color_scheme="light")
     page.set_default_timeout(120_000)
-    page.goto(f"{daemon.told(URL_FILE)}#{daemon.told(TOKEN_FILE)}")
+    page.goto(f"{daemon.published(URL_FILE)}#{daemon.published(TOKEN_FILE)}")
     wait(page, "fffoScope.store && fffoScope.mayCommand")
     axis.keep_running("browser")
     wait(page, "document.body.dataset.state === 'running'")

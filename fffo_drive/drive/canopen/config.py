@@ -82,7 +82,7 @@ class CanopenDriveConfig:
     torque_slope: int | None = None  # 0x6087; None: the drive's own
     mode_display: ModeDisplay = "at_once"  # when 0x6061 shows the mode
     device_profile: int | None = 402  # low word of 0x1000; None: any
-    modes_told: bool = True  # 0x6502 names the mode
+    modes_listed: bool = True  # 0x6502 names the mode
     # protection of the axis against a silent PC
     silence_detection: Detection = HEARTBEAT
     silence_reaction: Reaction = "abort_connection"

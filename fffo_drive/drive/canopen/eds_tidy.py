@@ -193,8 +193,8 @@ def _comments(sections: dict[str, EdsSection], remarks: list[EdsRemark]) -> Iter
         remarks.append(EdsRemark(section.line_of(odd), f"[Comments] has {odd}=, where Line{odd[5:]}= is meant"))
     counted = number(section.text("Lines"))
     if counted != len(numbered):
-        told = section.text("Lines") or "nothing"
-        remarks.append(EdsRemark(section.line_of("Lines"), f"[Comments] says Lines={told}, there are {len(numbered)}"))
+        lines = section.text("Lines") or "nothing"
+        remarks.append(EdsRemark(section.line_of("Lines"), f"[Comments] says Lines={lines}, there are {len(numbered)}"))
     yield "[Comments]"
     yield f"Lines={len(numbered)}"
     yield from (f"Line{place}={value}" for place, (_, value) in enumerate(numbered, 1))
@@ -249,9 +249,9 @@ def _give_parent(objects: dict[str, EdsSection], parent: str, child: str, remark
     section = objects[parent]
     if number(section.text("ObjectType")) not in (ARRAY, RECORD):
         if section.text("ObjectType"):
-            told = section.text("ObjectType")
+            declared = section.text("ObjectType")
             remarks.append(
-                EdsRemark(section.line_of("ObjectType"), f"0x{parent} has sub-indices, but ObjectType={told}")
+                EdsRemark(section.line_of("ObjectType"), f"0x{parent} has sub-indices, but ObjectType={declared}")
             )
         section.values["ObjectType"] = (f"0x{RECORD:X}", section.line_of("ObjectType"))
 

@@ -167,7 +167,7 @@ class WarningNews:
     def __init__(self, codes: Sequence[int]) -> None:
         self._codes = codes
         self._heard_ns = 0  # of the last EMCY reported
-        self._told_ns = -WARNING_GAP_NS
+        self._reported_ns = -WARNING_GAP_NS
         self._bit = False
         self._risen = False
 
@@ -176,7 +176,7 @@ class WarningNews:
         bit = bool(statusword & STATUS_WARNING)
         self._risen |= bit and not self._bit
         self._bit = bit
-        if now_ns - self._told_ns < WARNING_GAP_NS:
+        if now_ns - self._reported_ns < WARNING_GAP_NS:
             return []
         new = [one for one in emergencies if one.code in self._codes and one.monotonic_ns > self._heard_ns]
         counted = Counter(emergency_text(one) for one in new)
@@ -184,6 +184,6 @@ class WarningNews:
         if self._risen:
             found.append("statusword bit 7")
         if found:
-            self._told_ns, self._risen = now_ns, False
+            self._reported_ns, self._risen = now_ns, False
             self._heard_ns = max([self._heard_ns, *(one.monotonic_ns for one in new)])
         return [f"the drive warns: {text}" for text in found]

@@ -69,7 +69,7 @@ def check_device_type(objects: DriveObjects, config: CanopenDriveConfig) -> list
 
 def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
     """0x6502 must list the mode in use."""
-    if not config.modes_told:
+    if not config.modes_listed:
         return []
     reported = objects.value(0x6502)
     if reported is not None and has_mode(reported, config.mode):

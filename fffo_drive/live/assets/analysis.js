@@ -150,8 +150,8 @@ class StepResponse extends Analysis {
     const joined = uPlot.join([last ? [ms(last), last.response, last.reference] : none, kept ? [ms(kept), kept.response, kept.reference] : none]);
     this.show(joined);
     const unit = this.spec.unit;
-    const told = ({ found, band }) => found.problem || `rise (10–90 %) ${shown(1000 * found.rise)} ms, overshoot ${shown(found.overshoot)} %, settled (±${100 * band} %) ${found.settling === null ? "not within the window" : `after ${shown(1000 * found.settling)} ms`}, final value ${shown(found.final, 4)} ${unit} of ${shown(found.to, 4)}`;
-    this.say([last && told(last), kept && `kept: ${told(kept)}`].filter(Boolean).join("\n"));
+    const described = ({ found, band }) => found.problem || `rise (10–90 %) ${shown(1000 * found.rise)} ms, overshoot ${shown(found.overshoot)} %, settled (±${100 * band} %) ${found.settling === null ? "not within the window" : `after ${shown(1000 * found.settling)} ms`}, final value ${shown(found.final, 4)} ${unit} of ${shown(found.to, 4)}`;
+    this.say([last && described(last), kept && `kept: ${described(kept)}`].filter(Boolean).join("\n"));
   }
 
   keep() { if (this.last) { this.kept = this.last; this.overlay(); } }

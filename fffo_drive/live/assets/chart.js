@@ -253,14 +253,14 @@ class Chart {
     const { a, b } = this.cursors.at;
     this.cursorLine.hidden = a === null && b === null;
     if (this.cursorLine.hidden) return;
-    const told = [a !== null && `A ${this.xText(a)}`, b !== null && `B ${this.xText(b)}`], both = a !== null && b !== null;
-    if (both) told.push(`B−A ${this.xText(b - a)}${this.spec.x.inverse && a !== b ? `, 1/(B−A) ${shown(1 / Math.abs(b - a), 4)} ${this.spec.x.inverse}` : ""}`);
+    const parts = [a !== null && `A ${this.xText(a)}`, b !== null && `B ${this.xText(b)}`], both = a !== null && b !== null;
+    if (both) parts.push(`B−A ${this.xText(b - a)}${this.spec.x.inverse && a !== b ? `, 1/(B−A) ${shown(1 / Math.abs(b - a), 4)} ${this.spec.x.inverse}` : ""}`);
     this.spec.series.forEach((s, i) => {
       if (this.off.has(i)) return;
       const [low, high] = [a, b].map((x) => (x === null ? null : this.valueAt(i, x)));
-      told.push(`${s.label} ${[a !== null && shown(low, 4), b !== null && shown(high, 4)].filter(Boolean).join(" → ")}${both && low != null && high != null ? `, Δ ${shown(high - low, 4)}` : ""} ${s.unit || this.spec.unit}`);
+      parts.push(`${s.label} ${[a !== null && shown(low, 4), b !== null && shown(high, 4)].filter(Boolean).join(" → ")}${both && low != null && high != null ? `, Δ ${shown(high - low, 4)}` : ""} ${s.unit || this.spec.unit}`);
     });
-    this.cursorLine.textContent = told.filter(Boolean).join(" · ");
+    this.cursorLine.textContent = parts.filter(Boolean).join(" · ");
   }
 
   // values at the crosshair of any chart; without one the latest

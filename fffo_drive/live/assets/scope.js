@@ -3,7 +3,7 @@
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
   const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
-  const FRAME_MS = 20, SILENT_MS = 1500, STALE_MS = 2500, TELL_MS = 200;
+  const FRAME_MS = 20, SILENT_MS = 1500, STALE_MS = 2500, NUMBERS_MS = 200;
   const ANALYSE_MS = 400; // between two computations on live rows
   const MARGIN_BINS = 2; // a trigger is detected at the end of its bin; its rows begin earlier
   const MOST_SIGNALS = 6; // charts of selected signals
@@ -12,7 +12,7 @@
   // `taken`: the full-rate rows of either
   const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, analyses: {}, own: new Map() };
   const views = new Views(localStorage), time = new Cursors();
-  let pictures = [], histogram = null, dirty = true, drawnMs = 0, costMs = 0, heardMs = 0, toldMs = 0, computedMs = 0, computeCostMs = 0, again = true;
+  let pictures = [], histogram = null, dirty = true, drawnMs = 0, costMs = 0, heardMs = 0, numbersMs = 0, computedMs = 0, computeCostMs = 0, again = true;
 
   const token = location.hash.slice(1) || sessionStorage.getItem("scope-token") || "";
   if (location.hash) { // removed from the address bar, so that no screenshot shows it
@@ -414,10 +414,10 @@
     scope.pictures = (scope.pictures || 0) + 1;
     const [store, from, to] = looked();
     // faster changes cannot be read, and each change costs a page layout
-    const still = Boolean(scope.view || scope.held), tell = still || ms - toldMs > TELL_MS;
-    for (const picture of pictures) picture.draw(store, from, to, scope.constant, tell, !still);
-    if (tell) {
-      toldMs = ms;
+    const still = Boolean(scope.view || scope.held), withNumbers = still || ms - numbersMs > NUMBERS_MS;
+    for (const picture of pictures) picture.draw(store, from, to, scope.constant, withNumbers, !still);
+    if (withNumbers) {
+      numbersMs = ms;
       histogram.draw();
       numbers(store, from, to);
     }

@@ -31,8 +31,8 @@
     $("simulated").hidden = !state.axis || !state.axis.simulated || !(simulates || silent);
     $("simulate").hidden = simulates;
     $("simulate").disabled = !state.may.includes("simulate");
-    $("unsimulate").hidden = !simulates;
-    $("unsimulate").disabled = !state.may_cancel;
+    $("stop-simulation").hidden = !simulates;
+    $("stop-simulation").disabled = !state.may_cancel;
     $("simulated-state").textContent = drive ? `fffo-drive sim: ${drive.state}${drive.exit_code ? `, exit code ${drive.exit_code}` : ""}. ${drive.output.at(-1) || "It starts."}` : "";
     $("service-fold").hidden = !service;
     if (service) {
@@ -183,7 +183,7 @@
   $("serve").onclick = () => service("serve", {});
   $("unserve").onclick = () => service("cancel", { service: "serve" });
   $("simulate").onclick = () => service("simulate", {});
-  $("unsimulate").onclick = () => service("cancel", { service: "simulate" });
+  $("stop-simulation").onclick = () => service("cancel", { service: "simulate" });
   for (const radio of document.querySelectorAll("input[name=friction]")) radio.onchange = () => command(`Friction ${radio.value}`, "toggle", { to: radio.value });
   function number(id) { return Number($(id).value); }
 

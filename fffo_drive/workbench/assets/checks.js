@@ -22,14 +22,14 @@
     const last = new Map(shown.list.map((check) => [check.name, check.verdict])); // a later result of a check replaces the one before
     const count = (verdict) => [...last.values()].filter((one) => one === verdict).length;
     const bad = count("failed") + count("not_done");
-    const passed = job.state === "done", told = `${count("ok")} ok, ${count("warning")} to look at, ${count("failed")} failed, ${count("not_done")} not done`;
-    $("checks-verdict").textContent = job.state === "running" ? `running: ${told}` : passed ? `passed: ${told}` : `${job.state === "cancelled" ? "cancelled" : "not passed"}: ${told}`;
+    const passed = job.state === "done", tally = `${count("ok")} ok, ${count("warning")} to look at, ${count("failed")} failed, ${count("not_done")} not done`;
+    $("checks-verdict").textContent = job.state === "running" ? `running: ${tally}` : passed ? `passed: ${tally}` : `${job.state === "cancelled" ? "cancelled" : "not passed"}: ${tally}`;
     $("checks-verdict").className = passed || job.state === "running" ? "" : "bad";
     const wanted = passed && !bad && Boolean(state.axis.commissioning) && state.may.includes("accept");
     $("accept").hidden = !wanted;
     if (wanted && !shown.seen && shown.list.length >= job.checks && shown.asked !== job.number) {
       shown.asked = job.number;
-      const yes = await bench.question(`Commissioning has passed (${told}). Name its record in ${state.axis.shown}, so that the axis may be enabled? The rest of the file stays as it is.`, "Write the line", "Not now");
+      const yes = await bench.question(`Commissioning has passed (${tally}). Name its record in ${state.axis.shown}, so that the axis may be enabled? The rest of the file stays as it is.`, "Write the line", "Not now");
       if (yes) bench.tell(() => bench.ask("accept", {}));
     }
   });

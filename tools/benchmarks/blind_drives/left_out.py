@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from common import Report
-from engine import claimed, first_names, rest_is_told
+from engine import claimed, first_names, residual_is_reported
 
 from .score import wilson
 
@@ -53,7 +53,7 @@ def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
     elif names:
         outcome = "right axis"
     else:
-        outcome = "residual reported" if rest_is_told(report) else "silent"
+        outcome = "residual reported" if residual_is_reported(report) else "silent"
     return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome)
 
 

@@ -114,7 +114,7 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
             guesses[k] = Guess(effect["name"], effect["in_library"], said, False, False, _is_target_wave(effect))
     before = report["before"]["held_out"]
     after = report["after"]["held_out"] or before  # nothing that carries over is no model: all is as before
-    told = report["verdict"] == "unexplained" or report.get("unexplained_rest") is not None
+    residual_reported = report["verdict"] == "unexplained" or report.get("unexplained_rest") is not None
     matched = len(effects) - sum(1 for guess in guesses if guess is not None and not guess.in_family)
     false = [f["name"] for f in (left + accepted[len(counted) :])] if effects else [f["name"] for f in accepted]
     assert matched + len(false) == len(accepted)
@@ -127,7 +127,7 @@ def score_drive(truth: Mapping[str, Any], report: Mapping[str, Any], floor_rms_n
         removed=_removed(before["torque_rms_nm"], after["torque_rms_nm"], floor_rms_nm) if effects else None,
         seconds=float(report["process"]["cpu_s"]) / CORES if "process" in report else float(report["seconds"]),
         torque_percent=(before["torque_relative_percent"], after["torque_relative_percent"]),
-        silent=matched < len(effects) and not told,
+        silent=matched < len(effects) and not residual_reported,
         peak_mb=report.get("process", {}).get("peak_mb"),
         doubted=tuple(one["name"] for one in doubted),
         doubted_truths=sum(any(_matches(effect, one, True) for one in doubted) for effect in effects),

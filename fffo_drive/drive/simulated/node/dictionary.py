@@ -203,13 +203,13 @@ class ObjectDictionary:
         if value is None:
             value, relative = entry.default, entry.relative
         if value is None:
-            value = self._untold(entry)
+            value = self._device_default(entry)
         if relative and isinstance(value, int):
             lowest, highest = type_range(entry.data_type)
             return min(max(value + self.node_id, lowest), highest)
         return value
 
-    def _untold(self, entry: Entry) -> Value:
+    def _device_default(self, entry: Entry) -> Value:
         """The default that the device gives this entry, if it is valid for it."""
         known = self._defaults.get(entry.multiplexer)
         if not entry.size:

@@ -217,8 +217,8 @@ def _entry(row: _Row) -> Entry:
     mappable = number_of(row.mappable)
     if mappable not in (0, 1) and row.strict:
         raise WrongFieldError("pdo", f"{row.mappable!r} is neither 0 nor 1")
-    default, relative = _told(row, "default", data_type)
-    value, value_relative = _told(row, "value", data_type)
+    default, relative = _value_of(row, "default", data_type)
+    value, value_relative = _value_of(row, "value", data_type)
     low, high = _limit(row, "low", data_type), _limit(row, "high", data_type)
     if low is not None and high is not None and low > high:
         if row.strict:
@@ -237,7 +237,7 @@ def _type(text: str) -> DataType:
     return DataType(found)
 
 
-def _told(row: _Row, field: str, data_type: DataType) -> tuple[Value | None, bool]:
+def _value_of(row: _Row, field: str, data_type: DataType) -> tuple[Value | None, bool]:
     """A default or value, and whether the node-ID is added to it."""
     text: str | None = getattr(row, field)
     if text is None or not text.strip():

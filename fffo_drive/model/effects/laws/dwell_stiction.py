@@ -52,7 +52,7 @@ LAW = Law(
             1.0,
             "time at rest after which 63 % of it is reached",
             logarithmic=True,
-            plausible=(0.1, 1000.0),  # a rest that is shorter is not told from motion
+            plausible=(0.1, 1000.0),  # a rest that is shorter is not distinguished from motion
         ),
         Parameter(
             "release_rev",

@@ -37,7 +37,7 @@ class Refusal(NamedTuple):
     message: str
 
 
-class ToldDaemon:
+class ScriptedDaemon:
     """`answers` may be changed while it runs, and one may be a function; `lines` is what came."""
 
     def __init__(self, directory: Path) -> None:
@@ -48,7 +48,7 @@ class ToldDaemon:
         self._opened = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._live()), daemon=True)
 
-    def __enter__(self) -> ToldDaemon:
+    def __enter__(self) -> ScriptedDaemon:
         self.sockets.mkdir(parents=True)
         self._thread.start()
         assert self._opened.wait(PATIENCE_S)
@@ -79,6 +79,6 @@ class ToldDaemon:
             answer = answer() if callable(answer) else answer
             if answer is NEVER:
                 continue
-            told = {"error": answer._asdict()} if isinstance(answer, Refusal) else {"result": answer}
-            writer.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], **told}).encode() + b"\n")
+            outcome = {"error": answer._asdict()} if isinstance(answer, Refusal) else {"result": answer}
+            writer.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], **outcome}).encode() + b"\n")
         writer.close()
