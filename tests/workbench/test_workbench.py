@@ -306,6 +306,7 @@ def test_what_was_started_ends_with_the_workbench(number, tmp_path, monkeypatch)
     monkeypatch.setattr(Workbench, "close", lambda self: closed.append(self))
     monkeypatch.setattr(WorkbenchServer, "wait", lambda _: signal.raise_signal(number))
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background has it ignored
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored
     try:
         assert main(["workbench", "--no-browser", "--out", str(tmp_path)]) == 0
     finally:
