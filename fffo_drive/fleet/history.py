@@ -20,6 +20,7 @@ from .schema import ORDERS
 from .store import FleetStore
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
@@ -79,7 +80,7 @@ def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None
     """Histories of drives (None: of all) of a model, by drive; one without records is left out."""
     where = pc.field("model") == model
     where = where if drives is None else where & _any_of(drives)
-    return _by_drive(store.records(("drive", *HISTORY_COLUMNS), where))
+    return _by_drive(_sorted(store.records(("drive", *HISTORY_COLUMNS), where)))
 
 
 def models_of(store: FleetStore) -> list[str]:
@@ -87,21 +88,43 @@ def models_of(store: FleetStore) -> list[str]:
     return sorted(pc.unique(store.records(("model",)).column("model")).to_pylist())
 
 
-def drives_of(store: FleetStore, model: str) -> list[str]:
-    """Drives of a model that have records."""
-    return sorted(pc.unique(store.records(("drive",), pc.field("model") == model).column("drive")).to_pylist())
+class ModelRecords(NamedTuple):
+    """Records of a model, read once, that become histories piece by piece: these take several times their room."""
+
+    table: pa.Table
+    bounds: Integers  # (d + 1,) rows of each drive
+
+    def histories(self, drives: Integers) -> dict[str, RunHistory]:
+        """Of some drives, by their places."""
+        own = [self.table.slice(self.bounds[k], self.bounds[k + 1] - self.bounds[k]) for k in drives]
+        return _by_drive(pa.concat_tables(own).combine_chunks())
+
+
+def model_records(store: FleetStore, model: str) -> ModelRecords:
+    """All records of a model."""
+    table = _sorted(store.records(("drive", *HISTORY_COLUMNS), pc.field("model") == model))
+    return ModelRecords(table, _edges(table))
+
+
+def _sorted(table: pa.Table) -> pa.Table:
+    return table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
+
+
+def _edges(table: pa.Table) -> Integers:
+    """Where the rows of each drive begin, and where the last ones end."""
+    drive = table.column("drive").combine_chunks()
+    changes = pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)
+    return np.array([0, *(np.flatnonzero(changes) + 1), len(drive)])
 
 
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
-    """Solved many rows at once, and cut by drive."""
+    """Of rows in order: solved many at once, and cut by drive."""
     if not table.num_rows:
         return {}
-    table = table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
     parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]
     whole = parts[0] if len(parts) == 1 else _joined(parts)
-    drive = table.column("drive").combine_chunks()
-    edges = [0, *(np.flatnonzero(pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)) + 1), len(drive)]
-    return {str(drive[int(a)]): _cut(whole, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)}
+    edges, drive = _edges(table).tolist(), table.column("drive")
+    return {str(drive[a]): _cut(whole, slice(a, b)) for a, b in itertools.pairwise(edges)}
 
 
 def _joined(parts: Sequence[RunHistory]) -> RunHistory:
@@ -116,12 +139,9 @@ def _cut(history: RunHistory, runs: slice) -> RunHistory:
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
-    """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set, and its ends."""
-    own = pc.field("drive")
-    if len(drives) > FEW_DRIVES:
-        return (own >= min(drives)) & (own <= max(drives)) & own.isin(list(drives))
-    if not drives:
-        return own.isin([])
+    """One of few drives as alternatives, by which a reader skips groups of rows; of many as a set."""
+    if not 0 < len(drives) <= FEW_DRIVES:
+        return pc.field("drive").isin(list(drives))
     return functools.reduce(operator.or_, (pc.field("drive") == drive for drive in drives))
 
 

@@ -18,7 +18,7 @@ from ..documents import counted
 from ..units import NORMAL_95
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
-from .history import RunHistory, drives_of, histories
+from .history import RunHistory, model_records
 from .learning import evenly, learned
 from .store import FleetStore
 
@@ -150,13 +150,13 @@ def watch(
 
 def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> Watched:
     """`watch` over all drives of a model: of very many, piece by piece, with what some of all show of the fleet."""
-    drives = drives_of(store, model)
-    if len(drives) <= DRIVES_A_PIECE:
-        return watch(histories(store, model), alarms_per_drive_year).found
-    some = [drives[k] for k in evenly(len(drives))]
-    known = learned(stacked(histories(store, model, some)))
-    pieces = [drives[k : k + DRIVES_A_PIECE] for k in range(0, len(drives), DRIVES_A_PIECE)]
-    found = [watch(histories(store, model, piece), alarms_per_drive_year, known=known).found for piece in pieces]
+    records = model_records(store, model)
+    drives = np.arange(records.bounds.size - 1)
+    if drives.size <= DRIVES_A_PIECE:
+        return watch(records.histories(drives), alarms_per_drive_year).found
+    known = learned(stacked(records.histories(evenly(drives.size))))
+    pieces = np.split(drives, range(DRIVES_A_PIECE, drives.size, DRIVES_A_PIECE))
+    found = [watch(records.histories(piece), alarms_per_drive_year, known=known).found for piece in pieces]
     return Watched(
         tuple(alarm for one in found for alarm in one.alarms), tuple(doubt for one in found for doubt in one.doubts),
         sum(one.drives for one in found), sum(one.runs for one in found), sum(one.drive_years for one in found),

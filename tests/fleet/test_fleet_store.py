@@ -17,7 +17,7 @@ from fleet.fleet_rig import files_of
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet.backlash import GAP_UPPER
 from fffo_drive.fleet.compare import side_of_store
-from fffo_drive.fleet.history import balance_of_rows, histories, history, matrix_of
+from fffo_drive.fleet.history import balance_of_rows, histories, history, matrix_of, model_records
 from fffo_drive.fleet.place import StorePlace
 from fffo_drive.fleet.regress import PARAMETERS, UPPER
 from fffo_drive.fleet.schema import HIGHEST_ORDER, RECORD_SCHEMA, SCHEMA_VERSION, file_bytes, table_of
@@ -287,6 +287,19 @@ def test_history_has_the_shapes_that_are_agreed_on(store):
     assert found.order_amplitude_nm.shape == (3, found.orders.size)
     with pytest.raises(DocumentError, match="no record of drive 'd7'"):
         history(store, "d7")
+
+
+def test_records_that_are_read_once_become_the_same_histories_piece_by_piece(store):
+    for number, drive in ((4, "d2"), (2, "d1"), (1, "d3"), (3, "d1"), (5, "d2")):
+        store.write_record(row(number, drive, days=number))
+    records = model_records(store, "m1")
+    whole = histories(store, "m1")
+    pieces = [records.histories(np.array(places)) for places in ([0, 2], [1])]
+    assert [list(piece) for piece in pieces] == [["d1", "d3"], ["d2"]]
+    for piece in pieces:
+        for drive, found in piece.items():
+            assert found.run.tolist() == whole[drive].run.tolist()
+            assert np.array_equal(found.theta, whole[drive].theta)
 
 
 def test_records_are_added_by_adding_their_columns(store):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -224,17 +225,27 @@ def test_what_is_printed_and_what_is_json_say_the_same(worn: FleetWatch) -> None
         worn.trace("nobody")
 
 
+class Stored(NamedTuple):
+    """Histories as `history.ModelRecords` gives them."""
+
+    by_drive: dict[str, RunHistory]
+
+    @property
+    def bounds(self) -> npt.NDArray[np.int64]:
+        return np.cumsum([0, *(one.time_s.size for one in self.by_drive.values())])
+
+    def histories(self, drives: npt.NDArray[np.int64]) -> dict[str, RunHistory]:
+        names = list(self.by_drive)
+        return {names[k]: self.by_drive[names[k]] for k in drives}
+
+
 @pytest.mark.parametrize("drives_a_piece", [100, 10])
 def test_a_fleet_watched_piece_by_piece_says_what_it_says_as_a_whole(
     worn: FleetWatch, drives_a_piece: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stored = fleet(change={COULOMB: 0.10, STRIBECK: 0.10})
     monkeypatch.setattr(watch_module, "DRIVES_A_PIECE", drives_a_piece)
-    monkeypatch.setattr(watch_module, "drives_of", lambda store, model: list(stored))
-    monkeypatch.setattr(
-        watch_module, "histories",
-        lambda store, model, drives=None: {name: stored[name] for name in drives or stored},
-    )  # fmt: skip
+    monkeypatch.setattr(watch_module, "model_records", lambda store, model: Stored(stored))
     found = watch_model(None, "M", 1e-3)  # type: ignore[arg-type]  # no store is asked
     key = [(alarm.drive, alarm.law, alarm.first_run, alarm.raised_run) for alarm in found.alarms]
     assert key == [(alarm.drive, alarm.law, alarm.first_run, alarm.raised_run) for alarm in worn.found.alarms]
