@@ -132,14 +132,14 @@ def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats,
     rank, within = there.sum(axis=-1), np.ones(there.shape, dtype=bool)
     inverse, determinant = inverses(scaled)
     # with ones on the diagonal the smallest eigenvalue is at least the determinant over e, by the means of the others
-    for n in np.flatnonzero(determinant < math.e * SINGULAR):
-        curvature, directions = np.linalg.eigh(scaled[n])
-        known = curvature > SINGULAR
-        rank[n] = known.sum()
-        inverse[n] = directions[:, known] / curvature[known] @ directions[:, known].T
-        scaled[n] = directions[:, known] * curvature[known] @ directions[:, known].T
-        # a parameter that has a part in a direction that is not determined is not determined either
-        within[n] = np.abs(directions[:, known] ** 2 @ np.ones(known.sum()) - 1.0) < SINGULAR**0.5
+    rest = np.flatnonzero(determinant < math.e * SINGULAR)
+    curvature, directions = np.linalg.eigh(scaled[rest])
+    known = curvature > SINGULAR
+    rank[rest] = known.sum(axis=-1)
+    for matrices, values in ((inverse, 1.0 / np.where(known, curvature, np.inf)), (scaled, known * curvature)):
+        matrices[rest] = np.einsum("nij,nj,nkj->nik", directions, values, directions)
+    # a parameter that has a part in a direction that is not determined is not determined either
+    within[rest] = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
     theta = np.einsum("nij,nj->ni", inverse, moment / scale) / scale
     left = np.maximum(energy_nm2 - np.einsum("ni,ni->n", moment, theta), 0.0)
     variance_nm2 = left / np.maximum(rows - rank, 1.0)
