@@ -269,7 +269,7 @@ def without_observer(axis: dict[str, Any]) -> None:
 
 
 @pytest.mark.long  # and live, but patient with a machine that does other things beside it
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_every_command_works_from_an_installed_wheel(environment, tmp_path):
     began_s = time.monotonic()
     user = User(environment, tmp_path, f"loopback:{free_loopback_port()}")
