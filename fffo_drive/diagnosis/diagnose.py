@@ -227,7 +227,7 @@ def doubt(selected: Selection, number: int, finding: Finding, rest: Rest | None)
     On 20 drives whose kind was left out of the search (benchmark `blind_left_out`) this catches 6 of 12 wrong names: 3
     by LEAST_BESIDE, 1 by STEADY, 2 by the axis of the rest. The first two put none of the 21 right names of 30 other
     drives in doubt, the last none of the four right laws beside a rest on ten drives with five surfaces. On ten
-    further drives of such kinds, on which nothing was chosen, 7 claims were still wrong.
+    further drives of such kinds, not used for any choice, seven names were still wrong.
     """
     if finding.is_form:
         return ""

@@ -69,7 +69,7 @@ LEARNING_ROUNDS = 12
 MOST_ORDERS = 6
 LEAST_STEADINESS = 2.5  # median amplitude over its spread: that of noise, which is Rayleigh's, has 1.8
 ORDER_SHARE = 0.5  # of the runs that have to resolve an order
-DRIVES_AT_ONCE = 40  # of some 50 runs: what is in between fits a processor's cache
+DRIVES_AT_ONCE = 40  # of about 50 runs: the intermediate arrays fit the processor's cache
 LARGEST_NOISE = 25.0  # of a channel's usual variance: beyond it a run says nothing
 
 

@@ -24,7 +24,7 @@ Integers = npt.NDArray[np.int64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
-ROWS_AT_ONCE = 4_000  # that are solved: what is in between fits a processor's cache
+ROWS_AT_ONCE = 4_000  # solved at once: the intermediate arrays fit the processor's cache
 IN_TIME = [("start", "ascending"), ("run", "ascending")]
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
@@ -89,13 +89,13 @@ def models_of(store: FleetStore) -> list[str]:
 
 
 class ModelRecords(NamedTuple):
-    """Records of a model, read once, that become histories piece by piece: these take several times their room."""
+    """Records of a model, read once and converted to histories in parts, which take several times the memory."""
 
     table: pa.Table
     bounds: Integers  # (d + 1,) rows of each drive
 
     def histories(self, drives: Integers) -> dict[str, RunHistory]:
-        """Of some drives, by their places."""
+        """Of the drives at these places."""
         own = [self.table.slice(self.bounds[k], self.bounds[k + 1] - self.bounds[k]) for k in drives]
         return _by_drive(pa.concat_tables(own).combine_chunks())
 
@@ -118,7 +118,7 @@ def _edges(table: pa.Table) -> Integers:
 
 
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
-    """Of rows in order: solved many at once, and cut by drive."""
+    """Histories of rows that are in order: solved in batches, then cut by drive."""
     if not table.num_rows:
         return {}
     parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]

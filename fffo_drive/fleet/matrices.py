@@ -1,4 +1,4 @@
-"""Symmetric matrices of a few columns, very many of them: numpy takes longer to begin with one than to invert it."""
+"""Many small symmetric matrices: for these, numpy's overhead per matrix exceeds the arithmetic."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _invert_each(matrices: Floats, lower: Floats, inverse: Floats, determinant: 
 def inverses(matrices: Floats) -> tuple[Floats, Floats]:
     """Inverses (n, p, p) of positive matrices whose zero rows and columns stay zero, and their determinants (n,).
 
-    Determinant 0: it is not positive, and its inverse is of no use.
+    Determinant 0: the matrix is not positive definite, and its inverse is meaningless.
     """
     inverse, determinant = np.zeros_like(matrices), np.empty(matrices.shape[0])
     _invert_each(np.ascontiguousarray(matrices), np.zeros(matrices.shape[1:]), inverse, determinant)

@@ -32,7 +32,7 @@ RAMP_GAIN = 6.0  # fall of the squared misfit, in variances, that makes a step a
 AS_GOOD = 0.85  # of the largest statistic: a law that may be meant as well
 LOOK_AT = 2  # runs to open on either side of a change
 RECENT = 8  # runs
-DRIVES_A_PIECE = 1_000  # of some 50 runs: some 300 MB
+DRIVES_A_PIECE = 1_000  # of about 50 runs: about 300 MB
 OUTSIDE_SDS = 3.0  # standard deviations of friction with temperature
 OUTSIDE_K = 3.0  # beyond the temperatures that were seen
 VISCOUS = "viscous_nm_per_rps"
@@ -149,7 +149,7 @@ def watch(
 
 
 def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> Watched:
-    """`watch` over all drives of a model: of very many, piece by piece, with what some of all show of the fleet."""
+    """`watch` over all drives of a model: a large fleet in parts, with priors learned from a sample of all its drives."""
     records = model_records(store, model)
     drives = np.arange(records.bounds.size - 1)
     if drives.size <= DRIVES_A_PIECE:

@@ -23,7 +23,7 @@ const PICTURES = [
     { name: "busy_ns", label: "work", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
 ];
 
-// of a line that moves, in pixels: a canvas without graphics hardware draws wider ones several times more slowly
+// pixels, of a line that moves: without graphics hardware a canvas draws wider lines much more slowly
 const MOVING_WIDTH = 1;
 
 class Picture extends Chart {
@@ -44,7 +44,7 @@ class Picture extends Chart {
   }
   columnOf(i) { return this.places[i]; }
 
-  // `moving`: again at once, with other data
+  // `moving`: the picture is redrawn many times a second
   draw(store, from, to, constant, tell, moving) {
     this.spec.series.forEach((s, i) => { this.plot.series[this.places[i]].width = moving ? MOVING_WIDTH : s.width; });
     const [begin, end] = store.between(from, to);
@@ -89,7 +89,7 @@ class FrictionMap extends OwnAxisChart {
   }
   points() { return { show: false }; }
 
-  // a circle for each point costs more than all lines: while it turns, as often as the numbers
+  // a circle for each point costs more than all lines: it is redrawn only as often as the numbers
   draw(store, from, to, constant, tell) {
     if (!tell) return;
     const [begin, end] = store.between(from, to);
