@@ -149,7 +149,7 @@ def watch(
 
 
 def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> Watched:
-    """`watch` over all drives of a model: a large fleet in parts, with priors learned from a sample of all its drives."""
+    """`watch` over all drives of a model: a large fleet in parts, with priors learned from a sample of it."""
     records = model_records(store, model)
     drives = np.arange(records.bounds.size - 1)
     if drives.size <= DRIVES_A_PIECE:
