@@ -341,6 +341,23 @@ def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(shown):
     shown.says("confirmed late, by its state: ready")
 
 
+def test_a_late_answer_to_enable_does_not_cover_a_stop_that_nobody_confirms(shown):
+    held = []
+    shown.page.route("**/axis/enable", lambda route: held.append((route, route.fetch())))
+    shown.enable()
+    shown.page.route("**/axis/disable", lambda route: route.abort())
+    shown.page.keyboard.press("Escape")
+    shown.says("STOP NOT CONFIRMED")
+    route, response = held.pop()
+    with shown.page.expect_response("**/axis/enable") as answered:
+        route.fulfill(response=response)
+    answered.value.finished()
+    shown.page.evaluate("fetch('axis/info', { method: 'POST', body: '{}' }).then((answer) => answer.text())")
+    assert "emergency stop of the machine" in shown.page.text_content("#axis-said")
+    shown.served.client.call("disable")
+    shown.says("confirmed late, by its state: ready")
+
+
 def test_a_status_that_is_old_allows_nothing_but_a_stop(shown):
     shown.state("ready")
     shown.until("!document.querySelector('#enable').disabled")

@@ -5,14 +5,17 @@
   const bench = window.fffoWorkbench, $ = bench.$;
   const AT_REST = ["offline", "connected", "ready", "fault"], TORQUE = ["enabled", "following"];
   const STALE_MS = 2500, STOP_ANSWER_MS = 3000, HERE_MS = 1000, RENEWED_SHARE = 0.25, SHOWN_EVENTS = 30;
-  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, jogging: null, trial: 0, gains: "" };
+  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, speaker: 0, jogging: null, trial: 0, gains: "" };
   window.fffoAxis = axis; // for tests
 
   const fresh = () => axis.status !== null && performance.now() - axis.heardMs < STALE_MS;
   const may = (method) => bench.state !== null && bench.state.asks.includes(method);
   const epoch = () => ({ epoch: axis.status.epoch });
   const send = (method, wish) => bench.ask(`axis/${method}`, wish || {});
-  function say(text, bad) { $("axis-said").textContent = text; $("axis-said").className = bad ? "bad" : ""; }
+  // a stop that nothing has confirmed stays said until the state confirms it
+  function say(text, bad) { if (!axis.unconfirmed) { $("axis-said").textContent = text; $("axis-said").className = bad ? "bad" : ""; } }
+  // what is asked for last has the line: an answer to what was asked for before comes too late for it
+  function speaker() { const own = ++axis.speaker; return { last: () => own === axis.speaker, say: (text, bad) => { if (own === axis.speaker) say(text, bad); } }; }
 
   // what comes
 
@@ -80,8 +83,9 @@
     axis.status = s;
     axis.heardMs = performance.now();
     if (AT_REST.includes(s.state) && (axis.unconfirmed || axis.stopping)) {
-      say(`Stop: the axis is at rest, no torque${axis.unconfirmed ? ` (confirmed late, by its state: ${s.state})` : ""}`);
+      const late = axis.unconfirmed ? ` (confirmed late, by its state: ${s.state})` : "";
       axis.unconfirmed = axis.stopping = false;
+      say(`Stop: the axis is at rest, no torque${late}`);
     }
     document.body.dataset.axis = s.state;
     const running = s.profile ? `: ${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} %` : s.set_point ? `: ${s.set_point.kind} to ${s.set_point.to_rps.toPrecision(3)} rps` : "";
@@ -141,31 +145,33 @@
   // what is asked for
 
   async function command(text, method, wish) {
-    say(`${text} …`);
+    const line = speaker();
+    line.say(`${text} …`);
     try {
       const { result } = await send(method, wish);
-      say(`${text}: ${result.reached === false ? "asked for" : "done"}`);
-      return result;
-    } catch (error) { say(`${text}: ${error.message}`, true); return null; }
+      line.say(`${text}: ${result.reached === false ? "asked for" : "done"}`);
+    } catch (error) { line.say(`${text}: ${error.message}`, true); }
   }
 
   async function halt(method) {
-    const name = method === "quick_stop" ? "Quick stop" : "Stop";
+    const name = method === "quick_stop" ? "Quick stop" : "Stop", line = speaker();
     axis.unconfirmed = false;
     release();
-    say(`${name} …`);
+    line.say(`${name} …`);
     try {
       const { result } = await Promise.race([send(method, { wait_s: 0 }), new Promise((_, late) => setTimeout(() => late(new Error("nothing confirmed the stop in 3 s")), STOP_ANSWER_MS))]);
+      if (!line.last()) return;
       axis.stopping = !AT_REST.includes(result.state);
-      say(!axis.stopping ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
+      line.say(!axis.stopping ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
     } catch (error) {
+      if (!line.last()) return;
+      line.say(`STOP NOT CONFIRMED: ${error.message}. Use the emergency stop of the machine.`, true);
       axis.unconfirmed = true;
-      say(`STOP NOT CONFIRMED: ${error.message}. Use the emergency stop of the machine.`, true);
     }
   }
 
   function stop() {
-    if ($("halt").hidden || $("halt").disabled) { say("Stop is not available: no daemon has this axis, or this page only looks. Use the emergency stop of the machine.", true); return; }
+    if ($("halt").hidden || $("halt").disabled) { speaker().say("Stop is not available: no daemon has this axis, or this page only looks. Use the emergency stop of the machine.", true); return; }
     halt(axis.status && axis.status.state === "stopping" ? "quick_stop" : "disable"); // asked for again while it stops
   }
 
@@ -211,7 +217,8 @@
     const to_rps = direction * Math.abs(number("jog-rps"));
     let last = null;
     if (!own.held) return;
-    say(`Jog ${to_rps} rps …`);
+    const line = speaker();
+    line.say(`Jog ${to_rps} rps …`);
     try {
       if (!fresh()) throw new Error("the state of the axis is not known: nothing was asked for");
       while (own.held) {
@@ -219,8 +226,8 @@
         await Promise.race([released, new Promise((done) => setTimeout(done, 1000 * RENEWED_SHARE * last.renew_within_s))]);
       }
       await send("jog", { to_rps: 0, renews: last.set_point, epoch: last.epoch });
-      say(`Jog ended at standstill${own.why}`, Boolean(own.why));
-    } catch (error) { say(`Jog: ${error.message}`, true); }
+      line.say(`Jog ended at standstill${own.why}`, Boolean(own.why));
+    } catch (error) { line.say(`Jog: ${error.message}`, true); }
     own.release("");
   }
 
