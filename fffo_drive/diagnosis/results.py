@@ -143,13 +143,15 @@ class Finding:
         """
         if self.alternatives or self.doubt:
             return "cannot tell"
-        shown = False
-        if self.held_out_gain is not None:
-            value, sd = self.held_out_gain
-            shown = value - NORMAL_95 * sd > 0.0
+        shown = self.is_confirmed
         if self.regime_before is not None and self.regime_after is not None:
             shown = shown or self.regime_after.torque_rms_nm.high < self.regime_before.torque_rms_nm.low
         return "certain" if shown else "probable"
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether its gain on the held-out runs is positive beyond its 95 % interval."""
+        return self.held_out_gain is not None and self.held_out_gain[0] > NORMAL_95 * self.held_out_gain[1]
 
     @property
     def is_form(self) -> bool:

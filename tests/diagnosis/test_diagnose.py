@@ -238,32 +238,64 @@ def test_a_finding_whose_strength_is_not_the_same_everywhere_is_in_doubt():
     assert not any(f.doubt for f in found().findings)
 
 
-def test_what_takes_little_beside_what_nothing_explains_is_in_doubt_unless_it_is_a_wave():
+def judged():
+    """A selection that found a constant torque and a wave, and what is in doubt of findings in that order."""
     rules = DiagnosisSettings(without=only("torque_offset", "cogging"), ablate=frozenset({"curves"}))
     selection = Selector(FACTS, rules, lambda share, text: None).run(started(runs(planted_load, planted_load)))
-    offset, wave = (accepted(name)[0] for name in ("torque_offset", "cogging"))
-    numbers = [[e.name for e in selection.fitted.effects].index(one.name) for one in (offset, wave)]
-    half = REST._replace(rms_nm=1.0, floor_nm=0.5**0.5)
-    assert "explains little" in doubt(selection, numbers[0], replace(offset, explained_fraction=0.19), half)
-    assert doubt(selection, numbers[0], replace(offset, explained_fraction=0.21), half) == ""
-    assert doubt(selection, numbers[0], replace(offset, explained_fraction=0.19), None) == ""
-    assert doubt(selection, numbers[1], replace(wave, explained_fraction=0.05), half) == ""
+    assert [e.name for e in selection.fitted.effects] == ["torque_offset", "cogging"]
+
+    def said(*findings, rest=None):
+        findings = [replace(accepted(f["name"])[0], **f) for f in findings]
+        return [doubt(selection, number, findings, rest) for number in range(len(findings))]
+
+    return said
 
 
-def test_a_law_that_leaves_a_residual_on_its_own_axis_is_in_doubt_and_a_level_a_wave_or_a_curve_is_not():
-    rules = DiagnosisSettings(without=only("torque_offset"), ablate=frozenset({"curves"}))
-    selection = Selector(FACTS, rules, lambda share, text: None).run(started(runs(planted_load, planted_load)))
-    (offset,) = accepted("torque_offset")
+def test_what_explains_little_beside_what_no_law_explains_is_in_doubt():
+    """A share of 1/2 removes as much as the model leaves; a cause removes twice what nothing named accounts for."""
+    said = judged()
+    half = REST._replace(rms_nm=1.0, floor_nm=0.5**0.5)  # half of what is left
+    little, enough = ({"name": "torque_offset", "explained_fraction": share} for share in (0.49, 0.51))
+    wave = {"name": "cogging", "explained_fraction": 0.9}
+    assert "explains little" in said(little, wave, rest=half)[0]
+    assert said(enough, wave, rest=half) == ["", ""]
+    assert said(little, wave) == ["", ""]
+    # a curve has no cause: beside one that removes as much as the model leaves, a law must remove twice that
+    curve = {"name": "unknown:time", "explained_fraction": 0.5, "held_out_gain": (9.0, 1.0)}
+    low, high = ({"name": "torque_offset", "explained_fraction": share} for share in (0.66, 0.67))
+    assert "explains little" in said(low, curve)[0]
+    assert said(high, curve) == ["", ""]
+    assert "explains little" in said(enough, curve, rest=half)[0]
 
-    def said(name, axis, left):
-        return doubt(selection, 0, replace(offset, name=name, axis=axis, explained_fraction=0.9), left)
 
-    assert "depends on the velocity as well" in said("quadratic_drag", "velocity", REST)
-    assert said("quadratic_drag", "velocity", None) == ""
-    assert said("quadratic_drag", "velocity", REST._replace(axes=("time",))) == ""
-    assert said("unknown:velocity", "velocity", REST) == ""
-    assert said("cogging", "motor_angle", REST._replace(axes=("motor_angle",))) == ""
-    assert said("torque_offset", "torque", REST._replace(axes=("torque",))) == ""
+def test_a_law_that_leaves_a_residual_on_its_own_axis_is_in_doubt_and_a_level_or_a_curve_is_not():
+    said = judged()
+
+    def of(name, axis, left, share=0.9):
+        finding = {"name": name, "axis": axis, "explained_fraction": share, "held_out_gain": (9.0, 1.0)}
+        return said(finding, rest=left)[0]
+
+    assert "depends on the velocity as well" in of("quadratic_drag", "velocity", REST)
+    assert of("quadratic_drag", "velocity", None) == ""
+    assert of("quadratic_drag", "velocity", REST._replace(axes=("time",))) == ""
+    assert of("unknown:velocity", "velocity", REST) == ""
+    assert "depends on the motor angle as well" in of("cogging", "motor_angle", REST._replace(axes=("motor_angle",)))
+    assert of("torque_offset", "torque", REST._replace(axes=("torque",))) == ""
+    # half of what is left depends on the angle: a law that removes ten times what is left, 10 / 11, is clear of it
+    half = REST._replace(rms_nm=1.0, floor_nm=0.5**0.5, axes=("motor_angle",))
+    assert of("cogging", "motor_angle", half, 0.90) != ""
+    assert of("cogging", "motor_angle", half, 0.91) == ""
+
+
+def test_a_curve_that_the_held_out_runs_do_not_confirm_is_in_doubt_and_a_law_is_not():
+    said = judged()
+    for gain, doubts in (((1.0, 1.0), True), ((-9.0, 1.0), True), ((2.0, 1.0), False), (None, False)):
+        curve, law = (
+            {"name": name, "explained_fraction": 0.9, "held_out_gain": gain}
+            for name in ("unknown:velocity", "quadratic_drag")
+        )
+        assert said(curve)[0].startswith("the held-out runs do not confirm it") == doubts
+        assert said(law) == [""]
 
 
 def test_runs_of_another_inertia_are_reported_in_headline_and_cautions():

@@ -67,6 +67,8 @@ CREEP_FROM_S, CREEP_TO_S = 0.7, 5.7  # after the stop: five seconds, when the co
 # 7.3 Hz shook axis 7003 by 37 counts to each side, and the plain mean over 0.2 s, 1.46 periods, left 6 of them
 CREEP_MEAN_S = 1.0
 MOST_CREEP_COUNTS = 5.0  # of a 15-bit resolver
+MOST_SWING_COUNTS = 20.0  # shaken by its own effects, an axis at rest swings by some counts
+SWING_S = 2.0  # the last of the rest: a contact that rings is no creep, and a mean over its periods hides it
 COUNTS_PER_REV = 2.0**15
 CRASHED = "crashed"
 BATCH_AXES = 10  # between two writes of the rows
@@ -92,6 +94,7 @@ class Outcome(NamedTuple):
     commissioned_delay_s: float  # less what is true; nan where the chain ended before
     fitted_delay_s: float  # ... of identify
     commit: str  # that it was measured at
+    swing_counts: float = math.nan  # peak to peak at rest; nan in rows of earlier code as well
 
 
 class Job(NamedTuple):
@@ -178,16 +181,20 @@ def tuned(base: Any, model: ModelFile, measured_s: float) -> tuple[Candidate, fl
     return Candidate("tuned", TOGGLE_FEEDFORWARD, controller), found.margins_observer.phase_deg, found.gains.rest_share
 
 
-def creep_counts(case: Case, candidate: Candidate) -> float:
-    """How far the shaft goes in five seconds at rest, in counts of 15 bits; nan where the envelope tripped."""
+def at_rest_counts(case: Case, candidate: Candidate) -> tuple[float, float]:
+    """How far the shaft goes in five seconds at rest, and how far it swings in the last `SWING_S`; counts of 15 bits,
+    nan where the envelope tripped.
+    """
     period_s = case.session.loop.period_ns * 1e-9
     times_s = np.array([0.0, 0.2, 0.3, 1.5, 1.6, 1.6 + REST_S])
     profile = piecewise_linear("stop", MODE_VELOCITY, period_s, times_s, np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
     rows, trip = simulate(case._replace(profile=profile), candidate)
     if trip != TRIP_NONE:
-        return math.nan
+        return math.nan, math.nan
     rows = rows[(rows["profile_sample"] >= 0) & (rows["profile_sample"] < profile.values.size)]
-    return crept_counts(rows["true_velocity_rps"], round(1.6 / period_s), period_s)
+    velocity_rps = rows["true_velocity_rps"]
+    swing_rev = np.ptp(np.cumsum(velocity_rps[-round(SWING_S / period_s) :]) * period_s)
+    return crept_counts(velocity_rps, round(1.6 / period_s), period_s), float(swing_rev) * COUNTS_PER_REV
 
 
 def crept_counts(velocity_rps: Floats, stop: int, period_s: float) -> float:
@@ -210,7 +217,7 @@ def run_job(job: Job) -> Outcome:
     nominal = next(c for c in job.case.candidates if c.name == "pi+fffo+")
     passive = comes_to_rest(axis.plant)
     true_s = axis.plant.delay_s - 0.5 * case.session.loop.period_ns * 1e-9  # without the hold
-    as_today = probe(case, nominal).verdict, creep_counts(case, nominal)
+    as_today = probe(case, nominal).verdict, at_rest_counts(case, nominal)[0]
     candidate, phase_deg, share, refused = None, math.nan, math.nan, ""
     measured_s = fitted_s = math.nan
     constant_nm_per_a = declared_nm_per_a(axis)
@@ -223,16 +230,17 @@ def run_job(job: Job) -> Outcome:
         refused = str(error).splitlines()[0]
     except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
         refused = f"{CRASHED}: {type(error).__name__}: {error}"
-    verdict, creep = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan)
+    verdict, creep, swing = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan, math.nan)
     unheld = verdict, math.nan
     if candidate is not None:
-        verdict, creep = probe(case, candidate).verdict, creep_counts(case, candidate)
+        verdict, (creep, swing) = probe(case, candidate).verdict, at_rest_counts(case, candidate)
         law = candidate.controller
         without = candidate._replace(controller=law._replace(rest=law.rest._replace(hold=NO_HOLD)))
-        unheld = probe(case, without).verdict, creep_counts(case, without)
+        unheld = probe(case, without).verdict, at_rest_counts(case, without)[0]
     return Outcome(
         axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
         *unheld, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s, commit(),
+        swing,
     )  # fmt: skip
 
 
@@ -274,6 +282,7 @@ def table(found: list[Outcome]) -> list[str]:
     creeping = [one for one in passive if one.verdict == STABLE and one.creep_counts > MOST_CREEP_COUNTS]
     lines += ["", "Stable ones that creep, by friction law: " + _by_law(creeping) + ".", ""]
     lines += _creeping(creeping)
+    lines += _swinging(passive)
     lines += ["Measured delay less the true one, ms (5 %, median, 95 % quantile): " + _delays(passive) + ".", ""]
     return lines
 
@@ -310,6 +319,20 @@ def _creeping(found: list[Outcome]) -> list[str]:
         for one in found
     ]
     return [*lines, ""]
+
+
+def _swinging(found: list[Outcome]) -> list[str]:
+    """The stable axes that ring at rest, of those whose swing is known."""
+    known = [one for one in found if math.isfinite(one.swing_counts)]
+    if not known:
+        return []
+    ringing = [one for one in known if one.verdict == STABLE and one.swing_counts > MOST_SWING_COUNTS]
+    listed = ", ".join(f"{one.number} ({one.law}, {one.swing_counts:.0f})" for one in ringing) or "none"
+    return [
+        f"Stable ones that swing by more than {MOST_SWING_COUNTS:g} counts peak to peak in the last {SWING_S:g} s at "
+        f"rest, of {len(known)} where it was measured: {listed}.",
+        "",
+    ]
 
 
 def _by_law(found: list[Outcome]) -> str:

@@ -14,11 +14,12 @@ from engine import claimed, first_names, residual_is_reported
 from .score import wilson
 
 # Everything that shows the kind directly, by the names of the search: a word removes every curve over that axis,
-# "drag(...)" and the like one sort of it, "x" a table.
+# "drag(...)" and the like one sort of it, "x" a table. But for presliding, sgn(w) cos(output angle) is a law of the
+# library, which goes too.
 SERVED_BY: dict[str, frozenset[str]] = {
     "odd_speed_band": frozenset({"unknown:velocity"}),
     "odd_direction_angle": frozenset({
-        "unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)",
+        "unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)", "position_dependent_friction",
     }),
     "odd_fatigue": frozenset({"unknown:memory"}),
     "odd_stick_patch": frozenset({
