@@ -39,7 +39,6 @@ from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector
 from .select import DiagnosisSettings as DiagnosisSettings
 from .startup import starting_data
-from .steady import least_steady
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -145,7 +144,7 @@ def assemble(
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
-    own = [replace(one, doubt=doubt(selected, number, own, rest)) for number, one in enumerate(own)]
+    own = [replace(one, doubt=doubt(one, own[:k] + own[k + 1 :], rest)) for k, one in enumerate(own)]
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     # first the effects of the first rungs, then by explained share, the friction's own form last
     findings = ranked(
@@ -222,24 +221,20 @@ def verdict_of(
     return "no_effect_found", "No effect found: these data show no unexplained residual."
 
 
-def doubt(selected: Selection, number: int, findings: Sequence[Finding], rest: Rest | None) -> str:
+def doubt(finding: Finding, others: Sequence[Finding], rest: Rest | None) -> str:
     """Why a finding may not be what its name says; empty where nothing contradicts it, and for a form of friction.
 
-    `findings`: those of `selected`, in its order. A free curve has no cause, so what it explains counts with the rest.
+    A free curve names no cause, so what the `others` explain as curves counts with the rest.
     """
-    finding = findings[number]
     if finding.is_form:
         return ""
-    split = least_steady(selected.data, selected.fitted, selected.matrix, number)
-    if split.is_uneven:
-        return f"its strength changes by {100.0 * split.spread:.0f} % {split.parts}: it may be part of something else"
     removed, is_curve = _removed(finding), finding.name.startswith(UNKNOWN)
-    curves = sum(_removed(one) for k, one in enumerate(findings) if k != number and one.name.startswith(UNKNOWN))
+    curves = sum(_removed(one) for one in others if one.name.startswith(UNKNOWN))
     rest_share, rest_axes = (rest.share, rest.axes) if rest is not None else (0.0, ())
     if removed < CLEAR * (curves + rest_share):
         return "it explains little compared with what no law explains, and may be part of that"
-    if is_curve and finding.held_out_gain is not None and not finding.is_confirmed:
-        return "the held-out runs do not confirm it, and a curve follows whatever the fitted runs hold"
+    if finding.regime_before is not None and not finding.is_confirmed:
+        return "the held-out runs excite it and do not confirm it"
     has_axis = not is_curve and law_of(finding.name).rung >= WAVE_RUNG  # a curve claims no more; a level has none
     if has_axis and finding.axis in rest_axes and removed < CLEAR_ON_ITS_AXIS * rest_share:
         axis = finding.axis.replace("_", " ")

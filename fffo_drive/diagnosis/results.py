@@ -137,21 +137,23 @@ class Finding:
 
     @property
     def confidence(self) -> Confidence:
-        """Certain where held-out runs confirm it beyond the intervals, by its gain or by the error where it acts.
+        """Certain where held-out runs confirm it.
 
         A member of a family that the data do not separate, and a finding in doubt, gives `cannot tell`.
         """
         if self.alternatives or self.doubt:
             return "cannot tell"
-        shown = self.is_confirmed
-        if self.regime_before is not None and self.regime_after is not None:
-            shown = shown or self.regime_after.torque_rms_nm.high < self.regime_before.torque_rms_nm.low
-        return "certain" if shown else "probable"
+        return "certain" if self.is_confirmed else "probable"
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether its gain on the held-out runs is positive beyond its 95 % interval."""
-        return self.held_out_gain is not None and self.held_out_gain[0] > NORMAL_95 * self.held_out_gain[1]
+        """Whether held-out runs confirm it beyond the 95 % intervals, by its gain or by the error where it acts."""
+        if self.held_out_gain is not None:
+            value, sd = self.held_out_gain
+            if value > NORMAL_95 * sd:
+                return True
+        before, after = self.regime_before, self.regime_after
+        return before is not None and after is not None and after.torque_rms_nm.high < before.torque_rms_nm.low
 
     @property
     def is_form(self) -> bool:
