@@ -191,6 +191,8 @@ def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(served, chromi
     page.tab.click("#stop")
     page.until("document.querySelector('#said').textContent.includes('NOT CONFIRMED')")
     assert "emergency stop of the machine" in page.said
+    page.js("document.querySelector('#view-save').click()")  # says that a view needs a name: not over this
+    assert "NOT CONFIRMED" in page.said
     status = {"state": "running", "epoch": 1, "obstacles": [], "toggle": "ff", "model": {"name": "m"}}
     status |= {"recording": {"on": False}, "profile": None, "fault": None, "drive": None, "set_point": None}
     sockets[0].send(json.dumps({"kind": "status", "status": status}))

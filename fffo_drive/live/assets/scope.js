@@ -10,7 +10,7 @@
   const ANALYSES = [["spectrum", "Spectrum", "s", Spectrum], ["step", "Step", "t", StepResponse], ["phase", "Phase", "p", Phase]];
   // paused: `view` is the time range of `shown` on display. `held`: rows of a trigger, replaced by the next one.
   // `taken`: the full-rate rows of either
-  const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, analyses: {}, own: new Map() };
+  const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, unconfirmed: false, asked: 0, analyses: {}, own: new Map() };
   const views = new Views(localStorage), time = new Cursors();
   let pictures = [], histogram = null, dirty = true, drawnMs = 0, costMs = 0, heardMs = 0, numbersMs = 0, computedMs = 0, computeCostMs = 0, again = true;
 
@@ -25,7 +25,8 @@
   const captures = new Captures(wire);
   window.fffoScope = scope; // for tests
 
-  function say(text, bad) { $("said").textContent = text; $("said").className = bad ? "bad" : ""; }
+  // a stop that nothing has confirmed stays said until the state confirms it
+  function say(text, bad) { if (!scope.unconfirmed) { $("said").textContent = text; $("said").className = bad ? "bad" : ""; } }
 
   // state of the connection: none, open without a message yet, open and silent, with or without the key
   const link = { open: false, may: token ? null : false, heardMs: -Infinity };
@@ -440,9 +441,10 @@
   // buttons and keys
 
   async function command(text, method, params) {
+    const own = ++scope.asked; // an answer to what was asked for before comes too late for the line
     say(`${text} …`);
     const answer = await wire.call(method, params || {});
-    say(answer.error ? `${text}: ${answer.error}` : `${text}: done`, Boolean(answer.error));
+    if (own === scope.asked) say(answer.error ? `${text}: ${answer.error}` : `${text}: done`, Boolean(answer.error));
   }
 
   // commands that give torque or motion name their epoch: they are refused after a stop not yet shown here
@@ -450,11 +452,13 @@
 
   async function stop() {
     if ($("stop").disabled) { say("Stop is not available: this page is view only. Use the emergency stop of the machine.", true); return; }
+    const own = ++scope.asked;
     scope.unconfirmed = false;
     say("Stop …");
     const answer = await wire.stop();
+    if (own !== scope.asked) return;
     if (answer.error && AT_REST.includes(scope.state) && wire.open) say(`Stop: the axis is at rest already (${answer.error})`);
-    else if (answer.error) { scope.unconfirmed = true; say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true); }
+    else if (answer.error) { say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true); scope.unconfirmed = true; }
     else if (AT_REST.includes(answer.result.state)) say("Stop: the axis is at rest, no torque");
     else say(answer.result.method === "quick_stop" ? "Quick stop requested" : "Stop: braking to standstill, then no torque");
   }
