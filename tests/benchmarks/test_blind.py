@@ -20,6 +20,12 @@ score = importlib.util.module_from_spec(spec)
 sys.modules["blind_score"] = score
 spec.loader.exec_module(score)
 
+READ_BACK = """
+import json, sys
+from blind_drives.run import drive_from_truth
+print(json.dumps(drive_from_truth(json.load(open(sys.argv[1]))).truth()))
+"""
+
 
 def python(*arguments):
     done = subprocess.run(
@@ -244,6 +250,8 @@ def test_a_generated_drive_is_logs_and_facts_with_its_truth_elsewhere(tmp_path):
     assert all(not record.breaks for record in records)
     truth = json.loads((tmp_path / "truth" / "0003.json").read_text())
     assert truth["effects"] == []
+    read_back = python("-c", READ_BACK, tmp_path / "truth" / "0003.json")
+    assert json.loads(read_back) == truth
     # once more is the same, bit for bit, and costs nothing where it is there already
     before = {path: path.read_bytes() for path in folder.iterdir()}
     (tmp_path / "truth" / "0003.json").unlink()

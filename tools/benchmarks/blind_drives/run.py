@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from engine import diagnosed, write_answer
+from pydantic import TypeAdapter
 
-from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig, ThermalConfig
-from fffo_drive.drive.simulated.surfaces import PlantFriction, SingleSurface, Surface
+from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.identification.dataset import Record, load_records
 from fffo_drive.identification.facts import DriveFacts, read_facts
 
@@ -70,20 +69,8 @@ def base_rms_nm(fit: list[Record], held_out: list[Record], facts: DriveFacts) ->
 
 def drive_from_truth(truth: dict[str, Any]) -> BlindDrive:
     """The drive again from its file of truth, without finding strengths anew."""
-    content = dict(truth["plant"])
-    friction = dict(content.pop("friction"))
-    surfaces = tuple(Surface(**surface) for surface in friction.pop("surfaces"))
-    single = SingleSurface(**friction.pop("single"))
-    known = {field.name for field in fields(PlantConfig)}
-    plant = PlantConfig(
-        **{
-            **{key: value for key, value in content.items() if key in known},
-            "resolver": ResolverConfig(**content["resolver"]),
-            "thermal": ThermalConfig(**content["thermal"]),
-            "friction": PlantFriction(surfaces=surfaces, single=single, **friction),
-            "effects": tuple(EffectConfig(e["name"], e["parameters"]) for e in truth["effects"]),
-        }
-    )
+    effects = [{"name": effect["name"], "parameters": effect["parameters"]} for effect in truth["effects"]]
+    plant = TypeAdapter(PlantConfig).validate_python(truth["plant"] | {"effects": effects})
     seed = int(truth["seed"])
     return BlindDrive(seed, plant, gains_of(plant), profiles(seed, chirp_current_a(plant)), ())
 
