@@ -87,7 +87,7 @@ def test_two_cursors_give_values_and_differences_with_the_mouse(served, page):
     low, high = (rows[str(round(at * RATE_HZ))] for at in (a_s, b_s))
     page.until("!document.querySelector('figure .cursors').hidden")
     text = page.tab.locator("figure .cursors").first.text_content().replace("−", "-")
-    assert float(re.search(r"velocity [^Δ]*Δ (\S+) rps", text)[1]) == pytest.approx(high - low, abs=6e-4 * abs(high - low))
+    assert float(re.search(r"velocity [^Δ]*Δ (\S+) rps", text)[1]) == pytest.approx(high - low, rel=6e-4)
     assert f"1/(B-A) {1.0 / (b_s - a_s):.4g}"[:12] in text
     assert page.js("[...document.querySelectorAll('.cursors')].filter((c) => !c.hidden).length") >= 5
     box = plot(page)
