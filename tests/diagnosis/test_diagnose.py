@@ -210,7 +210,7 @@ def test_what_does_not_lower_the_held_out_error_is_no_headline():
 
 def test_what_is_in_doubt_is_no_cause():
     """It stays in the model and is named apart; without another finding the drive is not explained."""
-    sure, doubtful = accepted("cogging")[0], replace(accepted("quadratic_drag")[0], doubt="its strength changes")
+    sure, doubtful = accepted("cogging")[0], replace(accepted("quadratic_drag")[0], doubt="it explains little")
     beside = "In the model, but uncertain as a cause: quadratic_drag."
     assert verdict_of([sure, doubtful], "", None, ()) == ("effects_found", f"The model lacks: cogging. {beside}")
     for rest in (REST, None):

@@ -189,6 +189,8 @@ def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(served, chromi
     page.until("document.querySelector('#connection').textContent === 'connected, waiting for the daemon'")
     assert not page.tab.is_visible("#rights")  # nobody has refused the key yet
     page.tab.click("#stop")
+    page.js("document.querySelector('#commands').disabled = false, document.querySelector('#enable').click()")
+    page.until("document.querySelector('#said').textContent.startsWith('Enable')")  # asked for since; the stop is said
     page.until("document.querySelector('#said').textContent.includes('NOT CONFIRMED')")
     assert "emergency stop of the machine" in page.said
     page.js("document.querySelector('#view-save').click()")  # says that a view needs a name: not over this

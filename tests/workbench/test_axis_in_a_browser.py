@@ -341,6 +341,20 @@ def test_a_stop_that_nobody_confirms_says_so_until_the_state_does(shown):
     shown.says("confirmed late, by its state: ready")
 
 
+def test_a_stop_that_is_not_confirmed_is_said_whatever_was_asked_for_since(shown):
+    shown.enable()
+    held = []
+    shown.page.route("**/axis/disable", lambda route: held.append(route))
+    shown.page.keyboard.press("Escape")
+    shown.says("Stop …")
+    shown.page.click("input[name=friction][value=off]")
+    shown.says("Friction off: done")
+    held.pop().abort()
+    shown.says("STOP NOT CONFIRMED")
+    shown.served.client.call("disable")
+    shown.says("confirmed late, by its state: ready")
+
+
 def test_a_late_answer_to_enable_does_not_cover_a_stop_that_nobody_confirms(shown):
     held = []
     shown.page.route("**/axis/enable", lambda route: held.append((route, route.fetch())))

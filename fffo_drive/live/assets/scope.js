@@ -10,7 +10,7 @@
   const ANALYSES = [["spectrum", "Spectrum", "s", Spectrum], ["step", "Step", "t", StepResponse], ["phase", "Phase", "p", Phase]];
   // paused: `view` is the time range of `shown` on display. `held`: rows of a trigger, replaced by the next one.
   // `taken`: the full-rate rows of either
-  const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, unconfirmed: false, asked: 0, analyses: {}, own: new Map() };
+  const scope = { fields: [], store: null, shown: null, view: null, held: null, taken: null, rate: 0, binTicks: 1, constant: null, state: "", seconds: 10, trigger: new Trigger(), late: [], mayCommand: false, unconfirmed: false, asked: 0, stops: 0, analyses: {}, own: new Map() };
   const views = new Views(localStorage), time = new Cursors();
   let pictures = [], histogram = null, dirty = true, drawnMs = 0, costMs = 0, heardMs = 0, numbersMs = 0, computedMs = 0, computeCostMs = 0, again = true;
 
@@ -452,11 +452,12 @@
 
   async function stop() {
     if ($("stop").disabled) { say("Stop is not available: this page is view only. Use the emergency stop of the machine.", true); return; }
-    const own = ++scope.asked;
+    const own = ++scope.stops;
     scope.unconfirmed = false;
     say("Stop …");
     const answer = await wire.stop();
-    if (own !== scope.asked) return;
+    if (own !== scope.stops) return;
+    scope.asked += 1; // the answer to a stop takes the line, whatever was asked for since
     if (answer.error && AT_REST.includes(scope.state) && wire.open) say(`Stop: the axis is at rest already (${answer.error})`);
     else if (answer.error) { say(`STOP NOT CONFIRMED: ${answer.error}. Use the emergency stop of the machine.`, true); scope.unconfirmed = true; }
     else if (AT_REST.includes(answer.result.state)) say("Stop: the axis is at rest, no torque");

@@ -5,7 +5,7 @@
   const bench = window.fffoWorkbench, $ = bench.$;
   const AT_REST = ["offline", "connected", "ready", "fault"], TORQUE = ["enabled", "following"];
   const STALE_MS = 2500, STOP_ANSWER_MS = 3000, HERE_MS = 1000, RENEWED_SHARE = 0.25, SHOWN_EVENTS = 30;
-  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, speaker: 0, jogging: null, trial: 0, gains: "" };
+  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, speaker: 0, stops: 0, jogging: null, trial: 0, gains: "" };
   window.fffoAxis = axis; // for tests
 
   const fresh = () => axis.status !== null && performance.now() - axis.heardMs < STALE_MS;
@@ -14,8 +14,8 @@
   const send = (method, wish) => bench.ask(`axis/${method}`, wish || {});
   // a stop that nothing has confirmed stays said until the state confirms it
   function say(text, bad) { if (!axis.unconfirmed) { $("axis-said").textContent = text; $("axis-said").className = bad ? "bad" : ""; } }
-  // what is asked for last has the line: an answer to what was asked for before comes too late for it
-  function speaker() { const own = ++axis.speaker; return { last: () => own === axis.speaker, say: (text, bad) => { if (own === axis.speaker) say(text, bad); } }; }
+  // what is asked for last has the line: an answer to what was asked for before comes too late for it, but that to a stop
+  function speaker() { const own = ++axis.speaker; return { say: (text, bad) => { if (own === axis.speaker) say(text, bad); } }; }
 
   // what comes
 
@@ -154,18 +154,18 @@
   }
 
   async function halt(method) {
-    const name = method === "quick_stop" ? "Quick stop" : "Stop", line = speaker();
+    const name = method === "quick_stop" ? "Quick stop" : "Stop", own = ++axis.stops;
     axis.unconfirmed = false;
     release();
-    line.say(`${name} …`);
+    speaker().say(`${name} …`);
     try {
       const { result } = await Promise.race([send(method, { wait_s: 0 }), new Promise((_, late) => setTimeout(() => late(new Error("nothing confirmed the stop in 3 s")), STOP_ANSWER_MS))]);
-      if (!line.last()) return;
+      if (own !== axis.stops) return;
       axis.stopping = !AT_REST.includes(result.state);
-      line.say(!axis.stopping ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
+      speaker().say(!axis.stopping ? `${name}: the axis is at rest, no torque` : method === "quick_stop" ? "Quick stop asked for" : "Stop: braking to standstill, then no torque");
     } catch (error) {
-      if (!line.last()) return;
-      line.say(`STOP NOT CONFIRMED: ${error.message}. Use the emergency stop of the machine.`, true);
+      if (own !== axis.stops) return;
+      speaker().say(`STOP NOT CONFIRMED: ${error.message}. Use the emergency stop of the machine.`, true);
       axis.unconfirmed = true;
     }
   }
