@@ -94,7 +94,7 @@ def _series(series: Series, most: int) -> dict[str, Any]:
         "dash": series.dash,
         "weight": series.weight,
         "bucket": bucket,
-        "samples": int(series.y.size),
+        "dots": series.dots,
         "y": encode(y),
         "x": {"start": x.start, "step": x.step} if isinstance(x, Uniform) else encode(x),
     }

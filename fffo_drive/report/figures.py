@@ -18,6 +18,8 @@ Draw = Literal["line", "steps", "filled", "points", "bars"]
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Width = Literal["full", "half", "third"]
 
+MARKED = 200  # points of a series that are drawn with markers; more of them are dots
+
 
 class Uniform(NamedTuple):
     """Equidistant abscissae: `start + i * step`."""
@@ -90,6 +92,11 @@ class Series:
             wanted = self.y.size + (1 if self.draw in ("steps", "filled") else 0)
             if self.x.size != wanted:
                 raise ValueError(f"series {self.name!r}: {self.x.size} abscissae, {wanted} are needed")
+
+    @property
+    def dots(self) -> bool:
+        """Too many points for markers."""
+        return self.draw == "points" and self.y.size > MARKED
 
     @property
     def abscissae(self) -> Floats:

@@ -1,12 +1,14 @@
 """Colours of the reports, for light and dark paper; page and static figures take them from here.
 
-Orange, green and blue differ under the common colour vision deficiencies and, by lightness, in grey prints. No figure
-relies on colour alone: series also differ in dash, weight or marker and are named.
+Orange, green and blue differ under the common colour vision deficiencies, and by LEAST_LIGHTNESS in greyscale. No
+figure relies on colour alone: its series also differ in lightness, dash, marker or hatch, and are named.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+LEAST_LIGHTNESS = 12.0  # difference in CIE L* (0 to 100) between lines that differ in nothing else
 
 
 class Colour(NamedTuple):
@@ -35,11 +37,11 @@ FURNITURE = {
 # colours of series
 SERIES = {
     "ink": Colour("#16181b", "#e9ebee"),
-    "orange": Colour("#dd5d10", "#ff9a66"),
-    "green": Colour("#0b8264", "#43c79f"),
-    "blue": Colour("#1a54b0", "#5b96f5"),
-    "purple": Colour("#8546b5", "#c493f0"),
-    "grey": Colour("#747c86", "#8f98a3"),
+    "orange": Colour("#e26219", "#feba99"),
+    "green": Colour("#01795d", "#36bd95"),
+    "blue": Colour("#0a47a1", "#4e88e6"),
+    "purple": Colour("#7a3ba9", "#b484e0"),
+    "grey": Colour("#838b95", "#606973"),
 }
 
 

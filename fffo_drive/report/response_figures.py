@@ -93,7 +93,7 @@ def response_figures(
     if (seen & ~used).any():
         doubtful = seen & ~used
         gain.append(
-            Series("coherence below 0.6", frequency[doubtful], measured.gain_rps_per_a[doubtful], "grey", "points")
+            Series("coherence below 0.6", frequency[doubtful], measured.gain_rps_per_a[doubtful], "purple", "points")
         )
     for place, dash in zip((0.15, 0.5, 1.0), DASHES, strict=True):
         if damping:

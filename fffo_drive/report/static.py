@@ -27,6 +27,7 @@ PNG_COLOURS = 64
 FONTS = ("Liberation Sans", "Arial", "Helvetica", "DejaVu Sans")  # the last comes with matplotlib
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2.2)), "dotted": (0, (1, 1.5)), "dashdot": "-."}
 MARKERS = ("o", "s", "D", "^")
+HATCHES = ("", "//", "\\\\", "xx")
 
 
 def write_figure(figure: Figure, path: Path, dark: bool = False) -> None:
@@ -104,7 +105,8 @@ def _series(series: Series, number: int, axes: Axes, dark: bool) -> None:
             axes.stairs(y, x, fill=True, alpha=0.35, lw=0, color=colour)
         axes.stairs(y, x, lw=0.9 if series.draw == "filled" else 1.2, ls=DASHES[series.dash], **common)
     elif series.draw == "bars":
-        axes.bar(x, y, series.bar_width, **common)
+        hatch, paper = HATCHES[number % len(HATCHES)], _shade(FURNITURE["paper"], dark)
+        axes.bar(x, y, series.bar_width, hatch=hatch, edgecolor=paper, lw=0.0, **common)
     elif series.draw == "points":
         marker = MARKERS[number % len(MARKERS)]
         paper = _shade(FURNITURE["paper"], dark)

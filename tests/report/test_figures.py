@@ -16,6 +16,11 @@ def contrast(first, second):
     return (high + 0.05) / (low + 0.05)
 
 
+def lightness(colour):
+    """L* of CIE 1976 of a colour #rrggbb: 0 black, 100 white."""
+    return 116.0 * _luminance(colour) ** (1.0 / 3.0) - 16.0
+
+
 def _luminance(colour):
     channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from itertools import combinations
+
 import pytest
 from report.bench_runs import bench_records
 from report.test_circle_report import circle
 from report.test_diagnose_report import REST, SOURCE, diagnosis, finding
 from report.test_evaluate_report import SAMPLES, report_of, run
+from report.test_figures import lightness
 from report.test_identify_report import chirp_report
 from report.test_tune_report import made as tune_report
 
@@ -14,6 +18,7 @@ from fffo_drive.report.bench import bench_report
 from fffo_drive.report.circle import circle_report
 from fffo_drive.report.diagnose import diagnosis_report
 from fffo_drive.report.page import render_page
+from fffo_drive.report.palette import LEAST_LIGHTNESS, SERIES
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(200)]
 SCREEN = {"width": 1280, "height": 800}
@@ -97,6 +102,29 @@ def test_it_can_be_read_on_a_phone_and_on_paper(page):
     assert all(page.locator("details.fold").evaluate_all("all => all.map(one => one.open)"))
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert not any(page.locator("details.fold").evaluate_all("all => all.map(one => one.open)"))
+
+
+def test_in_greyscale_the_series_of_a_figure_differ_in_lightness_dash_marker_or_hatch(page):
+    legends = page.locator("figure .legend").evaluate_all(
+        "all => all.map(one => [...one.querySelectorAll('button')].map(entry => [entry.innerText.trim(), "
+        "entry.querySelector('svg').outerHTML]))"
+    )
+    assert any(len(entries) > 1 for entries in legends)
+    for entries in legends:
+        for first, second in combinations(entries, 2):
+            assert _in_grey(first[1]) != _in_grey(second[1]) or _apart(first[1], second[1]) >= LEAST_LIGHTNESS, (
+                first[0], second[0])  # fmt: skip
+
+
+def _in_grey(sample):
+    """The sample of a line in the legend without its colour, and without a weight that no eye measures."""
+    return re.sub(r"--series-\w+|stroke-width=\"[^\"]*\"", "", sample)
+
+
+def _apart(*samples):
+    """Difference in lightness of two samples, on light or dark paper, whichever is less."""
+    first, second = (SERIES[re.search(r"--series-(\w+)", sample).group(1)] for sample in samples)
+    return min(abs(lightness(a) - lightness(b)) for a, b in zip(first, second, strict=True))
 
 
 def test_a_screen_reader_and_the_keyboard_find_everything(page):

@@ -1,9 +1,10 @@
-/* Draws series, spans and levels on a uPlot canvas. Hue is never the only difference: dash, marker and name come with it. */
+/* Draws series, spans and levels on a uPlot canvas. Hue is never the only difference: dash, marker or hatch and name come with it. */
 const Paint = (() => {
   "use strict";
 
   const DASHES = { solid: [], dashed: [6, 4], dotted: [1.5, 3], dashdot: [8, 3, 2, 3] };
   const MARKERS = ["circle", "square", "diamond", "triangle"];
+  const HATCHES = [[], [1], [-1], [1, -1]]; // slopes of the lines across a bar
   const styles = getComputedStyle(document.documentElement);
   const variable = (name) => styles.getPropertyValue("--" + name).trim();
   const colour = (s) => variable("series-" + s.colour);
@@ -60,6 +61,21 @@ const Paint = (() => {
     else { ctx.moveTo(x, y - 1.2 * r); ctx.lineTo(x + 1.1 * r, y + r); ctx.lineTo(x - 1.1 * r, y + r); ctx.closePath(); }
   }
 
+  /* Bars that differ without their colours too. */
+  function hatch(ctx, number, left, top, width, height, px) {
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, top, width, height);
+    ctx.clip();
+    ctx.strokeStyle = variable("paper");
+    ctx.lineWidth = px;
+    ctx.beginPath();
+    for (const slope of HATCHES[number % HATCHES.length])
+      for (let y = top - width; y < top + height + width; y += 6 * px) { ctx.moveTo(left, y); ctx.lineTo(left + width, y + slope * width); }
+    ctx.stroke();
+    ctx.restore();
+  }
+
   function whisker(ctx, x, low, high, px) {
     ctx.beginPath();
     ctx.moveTo(x, low); ctx.lineTo(x, high);
@@ -85,16 +101,18 @@ const Paint = (() => {
     } else if (s.draw === "bars") {
       for (let i = from; i < to; i++) {
         const left = X(s.x(i) - s.barWidth / 2), right = X(s.x(i) + s.barWidth / 2);
-        ctx.fillRect(left, Y(s.y[i]), right - left, floor - Y(s.y[i]));
+        const top = Math.min(floor, Y(s.y[i])), high = Math.abs(floor - Y(s.y[i]));
+        ctx.fillRect(left, top, right - left, high);
+        hatch(ctx, number, left, top, right - left, high, px);
       }
     } else {
-      const r = s.samples > 200 ? 1.2 * px : 4 * px;
+      const r = s.dots ? 1.2 * px : 4 * px;
       for (let i = from; i < to; i++) {
         if (Number.isNaN(s.y[i])) continue;
-        marker(ctx, s.samples > 200 ? "circle" : MARKERS[number % MARKERS.length], X(s.x(i)), Y(s.y[i]), r);
-        ctx.fillStyle = s.samples > 200 ? colour(s) : variable("paper");
+        marker(ctx, s.dots ? "circle" : MARKERS[number % MARKERS.length], X(s.x(i)), Y(s.y[i]), r);
+        ctx.fillStyle = s.dots ? colour(s) : variable("paper");
         ctx.fill();
-        if (s.samples <= 200) ctx.stroke();
+        if (!s.dots) ctx.stroke();
       }
     }
     ctx.setLineDash([]);
@@ -194,9 +212,13 @@ const Paint = (() => {
   function sample(s, number) {
     const attributes = `stroke="var(--series-${s.colour})" fill="none" stroke-width="${Math.max(1.6, s.weight)}"`;
     let shape = `<line x1="0" y1="6" x2="26" y2="6" ${attributes} stroke-dasharray="${DASHES[s.dash].join(" ") || "none"}"/>`;
-    if (s.draw === "bars" || s.draw === "filled") shape = `<rect x="7" y="1" width="12" height="10" fill="var(--series-${s.colour})"/>`;
+    if (s.draw === "bars" || s.draw === "filled") {
+      shape = `<rect x="7" y="1" width="12" height="10" fill="var(--series-${s.colour})"/>`;
+      if (s.draw === "bars") for (const slope of HATCHES[number % HATCHES.length])
+        shape += `<path d="${slope > 0 ? "M7 5l6 6M7 1l10 10M13 1l6 6" : "M13 11l6 -6M9 11l10 -10M7 7l6 -6"}" stroke="var(--paper)"/>`;
+    }
     else if (s.draw === "points") {
-      const kind = s.samples > 200 ? "circle" : MARKERS[number % MARKERS.length];
+      const kind = s.dots ? "circle" : MARKERS[number % MARKERS.length];
       const paths = { circle: "M9 6a4 4 0 1 0 8 0a4 4 0 1 0-8 0", square: "M9 2h8v8h-8z", diamond: "M13 1l5 5l-5 5l-5-5z", triangle: "M13 1.5l4.5 9h-9z" };
       shape = `<path d="${paths[kind]}" ${attributes}/>`;
     }
