@@ -31,6 +31,7 @@ from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY
 from ..documents import DocumentError
 from ..identification.facts import read_facts
+from ..model.effects.laws.second_surface import SECOND_SURFACE
 from ..model.parameters import ModelFile, read_model
 from ..report.circle import KIND, CircleRun, CircleSource, tracking_of, write_circle_report
 from ..report.document import provenance, source_file
@@ -43,7 +44,6 @@ from .progress import Bar, no_bar
 from .recorded_facts import facts_of_axis
 from .simulated_process import SimulatedProcess
 
-SECOND_SURFACE = "second_surface"
 IN_SERVICE = "effects in service"  # gate
 GAIN_ROOM = 1.02  # times the L that condition (14) requires
 RECIPE = {"kind": "recipe", "repeats": 1}

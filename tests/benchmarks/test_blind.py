@@ -86,7 +86,7 @@ def test_nothing_is_gained_by_listing_more():
 
 
 def test_what_a_report_doubts_is_no_claim_and_is_counted_apart():
-    doubtful = {**finding("cogging"), "doubt": "it explains little"}
+    doubtful = {**finding("cogging"), "doubt": "it does not stand out"}
     one, free = scored([effect()], [doubtful]), scored([], [doubtful])
     assert not one.guesses[0].named
     assert (one.false_findings, one.doubted, one.doubted_truths) == ((), ("cogging",), 1)

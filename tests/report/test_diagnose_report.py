@@ -145,7 +145,7 @@ def test_a_certain_finding_is_reported_with_cause_place_size_and_the_command_tha
         ({"held_out_gain": (50.0, 40.0), "regime_after": errors(0.0095)}, "probable"),
         ({"held_out_gain": None, "regime_before": None, "regime_after": None}, "probable"),
         ({"alternatives": ("unbalance",)}, "cannot tell"),
-        ({"doubt": "it explains little"}, "cannot tell"),
+        ({"doubt": "it does not stand out"}, "cannot tell"),
     ],
 )
 def test_a_finding_is_certain_where_held_out_runs_show_it_beyond_their_intervals(changes, confidence):
@@ -426,7 +426,7 @@ def test_what_the_held_out_runs_do_not_show_is_said_beside_the_effect():
     assert [said in reason for reason in reasons[:2]] == [False, True]
 
 
-DOUBT = "it explains little compared with what no law explains, and may be part of that"
+DOUBT = "it does not stand out from what no law explains, and may be part of that"
 
 
 def test_what_is_in_doubt_is_said_beside_the_effect_and_leads_no_page():

@@ -40,8 +40,10 @@ def second_surface(signals: Floats, parameters: Floats, memory: Floats) -> None:
     signals[s.LOAD_NM] += memory[0] * (parameters[0] + parameters[1] * memory[1])
 
 
+SECOND_SURFACE = "second_surface"
+
 LAW = Law(
-    name="second_surface",
+    name=SECOND_SURFACE,
     axis="travel_since_reversal",
     kernel=second_surface,
     parameters=(
