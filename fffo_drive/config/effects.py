@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -114,6 +115,14 @@ def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> fl
 
     A change of the friction's level is felt over some travel: its slope is that of what it comes to.
     """
+    return _angle_slope_nm_per_rev(term.name, tuple(term.values.items()), axis, torque_nm)
+
+
+@functools.lru_cache(maxsize=64)  # the plan of an axis, a gate and a page each ask for the same, which takes a while
+def _angle_slope_nm_per_rev(
+    name: str, values_of_term: tuple[tuple[str, float], ...], axis: AxisConfig, torque_nm: float
+) -> float:
+    term = Term(name, dict(values_of_term))
     law = law_of(term.name)
     step_s, speed_rps, travel_rev = SETTLED if law.level else STANDING
     values = law.filled(term.values)
