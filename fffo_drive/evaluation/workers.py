@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from multiprocessing.context import ForkServerContext
 from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+def prepared_processes(module: str) -> ForkServerContext:
+    """A context whose processes begin as copies of one that has imported the module, which may take seconds.
+
+    That one is a program of its own without threads; a copy of this one would inherit the locks of threads that it does
+    not have. Its environment is that of its own beginning: what changed since is handed over with `take_environment`.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([module])  # without effect once there is a copy
+    return context
+
+
+def take_environment(variables: Mapping[str, str]) -> None:
+    """In a worker: the environment of the one who asked."""
+    os.environ.clear()
+    os.environ.update(variables)
 
 
 def over_cores(
@@ -30,8 +48,8 @@ def over_cores(
             if progress is not None:
                 progress(len(results))
         return list(results.values())
-    # spawned, not forked: a forked process would inherit the locks of threads that it does not have
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    context = prepared_processes(function.__module__)
+    with ProcessPoolExecutor(workers, context, take_environment, (dict(os.environ),)) as pool:
         pending: dict[Future[R], int] = {}
         try:
             for number, item in enumerate(items):

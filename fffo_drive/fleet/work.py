@@ -8,18 +8,18 @@ answer is no failure of the file: it is noted, and the run waits for the next wo
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from ..documents import DocumentError
+from ..evaluation.workers import prepared_processes, take_environment
 from ..identification.dataset import DataError
 from ..recording.errors import RecordingError
 from .adding import facts_of
@@ -163,14 +163,14 @@ class _Hand:
         self._address = address
         self.entry: Entry | None = None
         self.pipe: Connection
-        self._process: SpawnProcess
+        self._process: ForkServerProcess
         self.replace()
 
     def replace(self) -> None:
         """A process that takes units."""
-        context = multiprocessing.get_context("spawn")  # a forked one would inherit the locks of threads it has not
+        context = prepared_processes(__name__)
         self.pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_units, args=(self._address, theirs), daemon=True)
+        self._process = context.Process(target=_units, args=(self._address, theirs, dict(os.environ)), daemon=True)
         self._process.start()
         theirs.close()
         self.entry = None
@@ -208,8 +208,9 @@ class _Hand:
         self._process.join()
 
 
-def _units(address: str, pipe: Connection) -> None:
+def _units(address: str, pipe: Connection, environment: Mapping[str, str]) -> None:
     """In a worker: units until nobody asks for more."""
+    take_environment(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asked, who then ends this
     signal.signal(signal.SIGTERM, _stop)
     while True:
