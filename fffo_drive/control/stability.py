@@ -119,15 +119,21 @@ def loop_margins(
     )
 
 
-def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
-    """Frequencies (SWEEP_POINTS,) in rad/s; a sampled filter has no response beyond half its rate."""
-    highest_hz = SWEEP_HIGH_HZ if estimator is None else 0.5 / estimator.period_s
-    return 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
-
-
 @functools.lru_cache(maxsize=8)  # a design evaluates the same filter some hundred times
 def _response(estimator: VelocityEstimatorConfig) -> EstimatorResponse:
     return estimator_response(estimator, sweep_rad_per_s(estimator))
+
+
+def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
+    """Frequencies (SWEEP_POINTS,) in rad/s; a sampled filter has no response beyond half its rate. Read only."""
+    return _sweep_rad_per_s(SWEEP_HIGH_HZ if estimator is None else 0.5 / estimator.period_s)
+
+
+@functools.lru_cache(maxsize=8)  # likewise
+def _sweep_rad_per_s(highest_hz: float) -> Floats:
+    sweep = 2.0 * math.pi * np.geomspace(SWEEP_LOW_HZ, highest_hz, SWEEP_POINTS)
+    sweep.setflags(write=False)
+    return sweep
 
 
 def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
