@@ -50,10 +50,7 @@ UNMODELLED = "what no column explains (elasticity)"
 BACKLASH = "backlash"
 LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
 LARGEST_RISE = 3.0  # stiction above Coulomb friction, over it
-LINE_COULOMB = 0.3  # Coulomb over viscous friction along the line of temperature, before any drive is seen
-LINE_CHANCE = 4.0  # standard deviations of chance, for which that line counts
-LEAST_LASTING = 0.1  # of the variance of viscous friction: less is no temperature
-LARGEST_STEPS = 3.0  # along that line
+LARGEST_STEPS = 3.0  # along the line of temperature
 CORRELATION = -0.4  # typical, of viscous and Coulomb friction between runs: of the fits, less that of temperature
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
 PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
@@ -294,9 +291,9 @@ def learn(stack: Stack) -> FleetPrior:
 def _line(stack: Stack, covariance: Floats) -> Floats:
     """What temperature moves, where none is logged: friction that goes with what is lasting in viscous friction. (p,)
 
-    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. What
-    neighbours in time have in common tells how much goes with viscous friction, as far as it is beyond chance; the rest
-    is the usual coupling. Of the size of temperature's standard deviation; 0 where nothing lasts.
+    The errors that a run's own motion causes are independent in the next run; the temperature of a season is not. So
+    the covariance of neighbours in time is that of temperature, v v^T, and v is its column for viscous friction over
+    the root of that column's own element. 0 where nothing lasts.
     """
     line = np.zeros(len(stack.columns))
     if _VISCOUS not in stack.columns:
@@ -315,17 +312,10 @@ def _line(stack: Stack, covariance: Floats) -> Floats:
         viscous, away = away[:, place], away[:, friction]
         common += 0.5 * (away[1:].T @ viscous[:-1] + away[:-1].T @ viscous[1:])
         pairs += theta.shape[0] - 1
-    usual = np.zeros(len(stack.columns))
-    usual[place] = 1.0
-    if _COULOMB in stack.columns:
-        usual[stack.columns.index(_COULOMB)] = LINE_COULOMB
-    chance = LINE_CHANCE * sd[place] ** 2 * math.sqrt(pairs) + 1e-12
-    own = friction.index(place)
-    common[own] = max(common[own], 0.0)
-    if common[own] + chance < LEAST_LASTING * sd[place] ** 2 * pairs:
-        return line
-    line[friction] = (common + chance * usual[friction]) / (common[own] + chance)
-    return np.asarray(-0.7 * sd[place] * line)
+    own = float(common[friction.index(place)])
+    if own > 0.0:
+        line[friction] = -common / math.sqrt(own * pairs)  # warmer is less viscous
+    return line
 
 
 def _directions(stack: Stack) -> Floats:
