@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
-from prepared import run_python
 
 from fffo_drive.identification.dataset import load_records
 from fffo_drive.identification.facts import read_facts
@@ -28,7 +28,9 @@ print(json.dumps(drive_from_truth(json.load(open(sys.argv[1]))).truth()))
 
 
 def python(*arguments):
-    done = run_python(arguments, BENCHMARKS, 560)
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=BENCHMARKS, timeout=560
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -6,17 +6,20 @@ None runs a whole diagnosis but the samples at the end; each runs as from a term
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from prepared import run_python
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
 DATA = BENCHMARKS.parents[2] / "shared" / "data"
 
 
 def python(*arguments):
-    done = run_python(arguments, BENCHMARKS, 560)
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=BENCHMARKS, timeout=560
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from prepared import run_python
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
 CREEP = """
@@ -29,7 +31,10 @@ print(json.dumps({"shaken": max(shaken), "steady": steady, "jump": crept_counts(
 
 def python(*arguments: str) -> dict:
     """What it printed, in a process of its own, as from a terminal."""
-    done = run_python(arguments, BENCHMARKS, 560)
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_DISABLE_JIT"}
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, timeout=560, cwd=BENCHMARKS, env=inherited
+    )
     assert done.returncode == 0, done.stderr
     found: dict = json.loads(done.stdout)
     return found

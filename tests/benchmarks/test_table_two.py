@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from prepared import run_python
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
 
 
 def python(*arguments):
     """What it printed, in a process of its own, as from a terminal."""
-    done = run_python(arguments, BENCHMARKS, 560)
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=BENCHMARKS, timeout=560)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

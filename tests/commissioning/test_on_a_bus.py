@@ -55,7 +55,8 @@ def test_an_axis_on_a_bus_is_commissioned_and_then_run(tmp_path, capsys):
         for name in ("standstill", "motion", "torque_sign", "velocity_sign", "position_sign"):
             assert checks[name].verdict == "ok", checks[name]
         assert "0x608F says 32768" in checks["counts_per_rev"].text
-        assert "0x6078" in checks["current_scale"].text
+        # a busy machine may read 0x6078 too seldom: the check then takes 0x6077 alone
+        assert checks["current_scale"].text.startswith(("0x6078 reports", "0x6077 reports")), checks["current_scale"]
         capsys.readouterr()
         if record.passed:
             assert main(run) == 0
