@@ -226,8 +226,8 @@ def judged(findings: Sequence[Finding], rest: Rest | None) -> list[Finding]:
 
     Neither the rest nor a free curve nor a finding in doubt names a cause: a law stands out from all of these together.
     CLEAR and CLEAR_ON_ITS_AXIS were chosen on 31 drives whose kind was left out of the search (5000 to 5030) and 58
-    others (5300 to 5317, 6000 to 6039), and the findings in doubt counted since 5040 to 5069: of these 62 left-out
-    drives 9 have a wrong name, 12 without. Drives that were not used for the choice: results/blind_left_out.md.
+    others (5300 to 5317, 6000 to 6039). That findings in doubt count was chosen on 31 further left-out drives (5040 to
+    5070): of all 62, 9 have a wrong name with it and 12 without. Fresh drives: results/blind_left_out.md.
     """
     while True:
         unnamed = [one for one in findings if one.name.startswith(UNKNOWN) or one.doubt]
