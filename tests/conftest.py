@@ -32,6 +32,6 @@ from wheel_fixtures import site, wheel  # noqa: E402, F401
 
 
 def pytest_collection_finish() -> None:
-    """What has been collected stays to the end: it is looked through for garbage no more, a fortieth of the time."""
+    """The collected tests live to the end: scanning them for garbage again and again is a fortieth of the time."""
     gc.collect()
     gc.freeze()

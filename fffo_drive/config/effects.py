@@ -118,7 +118,7 @@ def angle_slope_nm_per_rev(term: Term, axis: AxisConfig, torque_nm: float) -> fl
     return _angle_slope_nm_per_rev(term.name, tuple(term.values.items()), axis, torque_nm)
 
 
-@functools.lru_cache(maxsize=64)  # the plan of an axis, a gate and a page each ask for the same, which takes a while
+@functools.lru_cache(maxsize=64)  # an axis's plan, its gates and its page ask for the same slope
 def _angle_slope_nm_per_rev(
     name: str, values_of_term: tuple[tuple[str, float], ...], axis: AxisConfig, torque_nm: float
 ) -> float:

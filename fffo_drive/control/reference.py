@@ -68,8 +68,8 @@ def paper_reference(
 ) -> Profile:  # fmt: skip
     """The comparison's reference: log-spaced lines with amplitude f^slope and random phases, sigmoid envelope.
 
-    A minute of it takes 0.3 s of computing, and the same one is asked for whenever the plan of an axis is made: the
-    last ones are kept. Whoever asks has arrays of its own.
+    One minute takes 0.3 s to compute, and each plan of an axis asks for the same one: the last few are kept. Each
+    caller gets arrays of its own.
     """
     made = _paper_reference(duration_s, period_s, low_rps, high_rps, lowest_hz, highest_hz, lines, slope, seed)
     return made._replace(values=made.values.copy(), derivatives=made.derivatives.copy())

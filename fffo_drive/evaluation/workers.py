@@ -14,13 +14,13 @@ R = TypeVar("R")
 
 
 def prepared_processes(module: str) -> ForkServerContext:
-    """A context whose processes begin as copies of one that has imported the module, which may take seconds.
+    """A context whose processes are forked from a server that has already imported the module, which may take seconds.
 
-    That one is a program of its own without threads; a copy of this one would inherit the locks of threads that it does
-    not have. Its environment is that of its own beginning: what changed since is handed over with `take_environment`.
+    The server is a process of its own: one that is forked from this process would inherit locks held by threads that it
+    does not have. The server keeps the environment in which it started; `take_environment` passes on later changes.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([module])  # without effect once there is a copy
+    context.set_forkserver_preload([module])  # without effect once the server runs
     return context
 
 

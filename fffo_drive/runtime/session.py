@@ -98,7 +98,6 @@ class Session:
         self.realtime_report: RealtimeReport | None = None
         self.error: BaseException | None = None
         self._thread: threading.Thread | None = None
-        self._compiled_for: Any = None  # the port
         self._ready = threading.Event()
         self._scratch = np.zeros((2, CONTROLLER_BLOCK_SIZE))
         self.records = RecordBook()
@@ -208,15 +207,13 @@ class Session:
 
     def compile(self) -> None:
         """Compile everything that the loop calls, then disable compilation: it would stop the tick for seconds."""
-        port = self.drive.port
-        if INTERPRETED or port is self._compiled_for:  # to ask what types the arguments have takes a millisecond or two
+        if INTERPRETED:
             return
         leave_out_linear_algebra()
         dispatcher: Any = run_loop
         dispatcher.disable_compile(False)
         dispatcher.compile(tuple(typeof(argument) for argument in self._arguments(0)))
         dispatcher.disable_compile()
-        self._compiled_for = port
 
     def run_profile(self, profile: Profile, toggle: int) -> int:
         """Enable, run the profile to its end or to a trip, disable. For a simulated clock. Return ticks run."""
