@@ -52,7 +52,7 @@ ITERATIONS = 6  # of a contender's fit ...
 LADDER_ITERATIONS = 8  # ... and of a fit of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
 TRIED_A_KIND = 2  # ... at most this many of one kind on a rung ...
-REFITTED = 4  # ... of them, laws that are refitted ...
+REFITTED = 3  # ... of them, laws that are refitted ...
 CURVES_REFITTED = 2  # ... and curves that are refitted
 KEPT = 0.75  # a refit that keeps less of its promised gain is repeated from another start
 LAW_OF_CURVE = 0.75  # a law with more than this share of a curve's gain takes precedence over it
@@ -319,11 +319,16 @@ class Selector:
     def _contenders(
         self, data: Data, scored: ScoredFit, evidence: Evidence, proposals: Sequence[Proposal], tried: int
     ) -> tuple[list[Contender], list[Contender]]:
-        """Laws and free curves beyond chance, the largest linear gain first."""
+        """Laws, and free curves beyond chance, the largest linear gain first.
+
+        A curve is linear: a refit does not change its p-value. A law whose shapes are refitted may be far from its best
+        shape and beside a base that is biased without it, so that chance is ruled out only after the refit.
+        """
         taken = {e.name for e in scored.fitted.effects}
         able = [
             one for one in proposals
-            if one.score.p * tried <= self.rate and one.score.explained > LEAST_SHARE * evidence.energy
+            if (one.score.p * tried <= self.rate or not one.name.startswith(UNKNOWN))
+            and one.score.explained > LEAST_SHARE * evidence.energy
             and (one.name not in taken or law_of(one.name).wave) and one.name not in self.barred
         ]  # fmt: skip
         picked: list[Proposal] = []
@@ -340,7 +345,7 @@ class Selector:
     def _believed(
         self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, ScoredFit, Gain]]:
-        """Contenders that, refitted with everything, still have enough gain and no objection."""
+        """Contenders that, refitted with everything, are beyond chance, have enough gain and no objection."""
         both = "two_starts" not in self.ablate
 
         def refit(one: Contender) -> ScoredFit:
@@ -352,7 +357,8 @@ class Selector:
         for (one, _), result in zip(contenders, fits, strict=True):
             own = gain(scored.unseen, result.unseen, evidence.folds)
             share = share_gone(scored.fitted, result.fitted)
-            if not own.holds or share < LEAST_SHARE:
+            p = self._chance(data, result, len(result.fitted.effects) - 1, tried, one.score.p)
+            if not own.holds or share < LEAST_SHARE or p > self.rate:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
             if reason:
@@ -415,17 +421,17 @@ class Selector:
         place = number - sum(k < number for k in aside)
         return replace(
             note, gain=gain(alone.unseen, beside.unseen, data.folds),
-            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note),
+            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note.tried, note.p),
         )  # fmt: skip
 
-    def _chance(self, data: Data, scored: ScoredFit, number: int, note: Accepted) -> float:
+    def _chance(self, data: Data, scored: ScoredFit, number: int, tried: int, otherwise: float) -> float:
         """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
         own = columns_of(data, scored, number)
         scenes = consistent_scenes(data, scored.fitted.physical, scored.fitted.effects)
         load = data.white(load_rows(data.rows, scenes, scored.fitted.effects[number]))
         others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
         found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load)
-        return min(1.0, found.p * note.tried) if found.rank else note.p
+        return min(1.0, found.p * tried) if found.rank else otherwise
 
 
 def _beyond_laws(

@@ -26,7 +26,7 @@ from ..identification.ladder import HIGHEST_CUTOFF_PERIODS
 from ..identification.rows import RegressionStretch, rows_at, stretches_of
 from ..jit import njit
 from ..model.effects import slots
-from ..model.effects.laws.backlash import LAW
+from ..model.effects.laws.backlash import CONTACT_HZ, LAW
 from .regress import COULOMB, INERTIA, Estimates, Integers, balance_columns, block_starts
 
 Floats = npt.NDArray[np.float64]
@@ -36,7 +36,6 @@ GAP_UPPER = np.triu_indices(GAP_REV.size)
 M_PER_REV = 0.02  # of a linear axis: a gap of one revolution stands for so many metres, as the Stribeck speed does
 CUTOFF_HZ = 100.0  # a gap of 0.02 rev is passed in about 25 ms
 PRESLIDING_REV = (0.002, 0.006)  # travels of friction's own transition after a reversal, beside the gap
-CONTACT_HZ = 150.0  # of the closed joint: a joint stiffer than the cut-off shows no difference
 FINE = 24  # gaps between two of the grid at which the fit is looked for
 LEAST_EXPLAINED = 0.12  # of the squared residual: simulated runs without a gap have up to 0.11, with one 0.14 to 0.69
 LEAST_GAIN = 25.0  # fall of the squared misfit in variances, of a gap against none: five standard deviations

@@ -14,11 +14,11 @@ from fffo_drive.model.effects import slots as s
 from fffo_drive.model.effects.table import Term, effects_along
 from fffo_drive.model.friction import REST, FrictionState, friction_step, torque_after
 
-PERIOD_S = 5e-4
-N = 12_000
+PERIOD_S = 2.5e-4
+N = 24_000
 JOINTS = {
     "elasticity": {"share": 0.4, "frequency_hz": 25.0, "damping": 0.07},
-    "backlash": {"share": 0.4, "gap_rev": 0.01, "friction_share": 0.5, "contact_hz": 80.0},
+    "backlash": {"share": 0.4, "gap_rev": 0.01, "friction_share": 0.5, "contact_hz": 60.0},
 }
 
 
@@ -44,7 +44,7 @@ def test_a_joint_takes_from_a_known_motion_what_it_took_in_the_simulation(name):
     driving = axis.inertia_nm_s2_per_rev * rows[:, s.ACCELERATION_RPS2] + rows[:, s.FRICTION_NM]
     rows[:, s.CURRENT_A] = driving / axis.torque_constant_nm_per_a
     load, _ = effects_along([Term(name, JOINTS[name])], rows, axis, PERIOD_S, feedforward=True)
-    smooth = np.ones(21) / 21.0  # impacts last less than a sample
+    smooth = np.ones(41) / 41.0  # impacts last less than a sample
     load, expected = np.convolve(load, smooth, "same"), np.convolve(expected, smooth, "same")
     size = float(np.sqrt(np.mean(expected**2)))
     assert size > 0.003

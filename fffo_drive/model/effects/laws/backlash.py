@@ -11,14 +11,19 @@ from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometr
 from ..slots import Floats
 
 FINEST = 0.25  # of a radian of the contact's resonance in a sub-step
-FLANK_DAMPING = 0.5
+FLANK_DAMPING = 2.0  # damping over mass and resonance, 1/rad: critical
+# The load's motion is not measured. Behind a stiff, lightly damped flank it bounces along the measured motion at other
+# instants than in the machine, and each bounce counts twice. A critically damped flank near the filter's cut-off stays
+# in step, whatever the machine's own: it explains 46 to 58 % of the residual of six drives of 166 to 344 Hz (7092 to
+# 7352); 150 Hz with a quarter of that damping 19 to 70 %.
+CONTACT_HZ = 60.0
 
 
 def _search(context: SearchContext) -> list[Shape]:
     return [
-        {"gap_rev": gap_rev, "friction_share": friction_share, "contact_hz": min(150.0, 0.1 / context.period_s)}
-        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 10)
-        for friction_share in (0.0, 0.4, 0.7, 1.0, 1.3)
+        {"gap_rev": gap_rev, "friction_share": friction_share, "contact_hz": min(CONTACT_HZ, 0.1 / context.period_s)}
+        for gap_rev in geometric(2.0 / context.stiffness_per_rev, 100.0 / context.stiffness_per_rev, 14)
+        for friction_share in (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
     ]
 
 
@@ -102,7 +107,7 @@ LAW = Law(
             logarithmic=True,
         ),
         Parameter(
-            "contact_hz", "Hz", SHAPE, 1.0, 10000.0, 150.0, "resonance of the closed joint", logarithmic=True, held=True
+            "contact_hz", "Hz", SHAPE, 1.0, 10000.0, CONTACT_HZ, "resonance of the flanks", logarithmic=True, held=True
         ),
     ),
     search=_search,
