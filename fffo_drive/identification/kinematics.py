@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+import scipy  # its modules load where they are first used
 
 from .dataset import Record
 
@@ -33,9 +33,9 @@ def low_pass(values: Floats, cutoff_hz: float, period_s: float, order: int = FIL
     """Zero-phase Butterworth filter of `order` in all, half of it each way; a cut-off beyond 0.45 of the rate: none."""
     if cutoff_hz * period_s >= 0.45:
         return values
-    sections = signal.butter(max(1, order // 2), cutoff_hz, fs=1.0 / period_s, output="sos")
+    sections = scipy.signal.butter(max(1, order // 2), cutoff_hz, fs=1.0 / period_s, output="sos")
     padding = min(values.size - 1, round(3.0 / (cutoff_hz * period_s)))
-    return np.asarray(signal.sosfiltfilt(sections, values, padlen=padding))
+    return np.asarray(scipy.signal.sosfiltfilt(sections, values, padlen=padding))
 
 
 def central_difference(values: Floats, period_s: float) -> Floats:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import interpolate, signal
+import scipy  # its modules load where they are first used: together they take a second
 
 from ..recording.table import GAP_PERIODS
 
@@ -116,7 +116,7 @@ def _even_part(stamps: Floats, columns: Mapping[str, Floats], known: Mask | None
         if name == COMMAND:
             between = held_mean(stamps, values, grid, 1.0)
         elif name in POSITIONS and stamps.size > 1:
-            between = interpolate.PchipInterpolator(stamps, values)(np.clip(grid, 0.0, stamps[-1]))
+            between = scipy.interpolate.PchipInterpolator(stamps, values)(np.clip(grid, 0.0, stamps[-1]))
         else:
             between = np.interp(grid, stamps, values)
         found[name] = np.where(own, values[near], between)
@@ -139,15 +139,15 @@ def at_lower_rate(columns: Mapping[str, Floats], good: Mask | None, ratio: float
     size = next(iter(columns.values())).size
     old = np.arange(size, dtype=np.float64)
     new = np.arange(0.0, size - ratio + 1e-9, ratio)
-    sections = signal.butter(ANTI_ALIAS_ORDER // 2, min(0.9, 2.0 * ANTI_ALIAS / ratio), output="sos")
+    sections = scipy.signal.butter(ANTI_ALIAS_ORDER // 2, min(0.9, 2.0 * ANTI_ALIAS / ratio), output="sos")
     found: dict[str, Floats] = {}
     for name, values in columns.items():
         if name == COMMAND:
             found[name] = held_mean(old, values, new, ratio)
             continue
         padding = min(size - 1, round(6.0 * ratio))
-        smooth = signal.sosfiltfilt(sections, values - values[0], padlen=padding) + values[0]
-        found[name] = interpolate.CubicSpline(old, smooth)(new)
+        smooth = scipy.signal.sosfiltfilt(sections, values - values[0], padlen=padding) + values[0]
+        found[name] = scipy.interpolate.CubicSpline(old, smooth)(new)
     sure = np.ones(size) if good is None else good.astype(np.float64)
     half = round(0.5 * ratio)
     reach = (np.arange(-half, half + 1)[:, None] + np.round(new).astype(np.int64)).clip(0, size - 1)
