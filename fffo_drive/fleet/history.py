@@ -103,18 +103,19 @@ class ModelRecords(NamedTuple):
 def model_records(store: FleetStore, model: str) -> ModelRecords:
     """All records of a model."""
     table = _sorted(store.records(("drive", *HISTORY_COLUMNS), pc.field("model") == model))
-    return ModelRecords(table, _edges(table))
+    return ModelRecords(table, edges_of(table, "drive"))
 
 
 def _sorted(table: pa.Table) -> pa.Table:
     return table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
 
 
-def _edges(table: pa.Table) -> Integers:
-    """Where the rows of each drive begin, and where the last ones end."""
-    drive = table.column("drive").combine_chunks()
-    changes = pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)
-    return np.array([0, *(np.flatnonzero(changes) + 1), len(drive)])
+def edges_of(table: pa.Table, *columns: str) -> Integers:
+    """Where rows begin that have other words in these columns than the row before, and where the last ones end."""
+    changed = np.zeros(max(table.num_rows - 1, 0), dtype=bool)
+    for column in (table.column(name).combine_chunks() for name in columns):
+        changed |= pc.not_equal(column[1:], column[:-1]).to_numpy(zero_copy_only=False)
+    return np.array([0, *(np.flatnonzero(changed) + 1), table.num_rows])
 
 
 def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
@@ -123,7 +124,7 @@ def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
         return {}
     parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]
     whole = parts[0] if len(parts) == 1 else _joined(parts)
-    edges, drive = _edges(table).tolist(), table.column("drive")
+    edges, drive = edges_of(table, "drive").tolist(), table.column("drive")
     return {str(drive[a]): _cut(whole, slice(a, b)) for a, b in itertools.pairwise(edges)}
 
 
@@ -198,11 +199,16 @@ def column_of(table: pa.Table, name: str) -> Floats:
     return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
-def matrix_of(table: pa.Table, name: str) -> Floats:
-    """A column of lists of one length; nan in a row without one, of an older version. (n, length)"""
+def matrix_of(table: pa.Table, name: str, kind: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """A column of lists of one length; nan in a row without one, of an older version. (n, length)
+
+    Not to be written to: where the column is of this kind and has no gaps, it is the column itself.
+    """
     column = table.column(name).combine_chunks()
-    values = np.full((len(column), column.type.list_size), np.nan)
-    there = column.is_valid().to_numpy(zero_copy_only=False)
-    flat = np.asarray(column.drop_null().flatten().to_numpy(zero_copy_only=False), dtype=np.float64)
-    values[there] = flat.reshape(-1, column.type.list_size)
+    size = column.type.list_size
+    flat = np.asarray(column.drop_null().flatten().to_numpy(zero_copy_only=False), dtype=kind).reshape(-1, size)
+    if not column.null_count:
+        return flat
+    values = np.full((len(column), size), np.nan, dtype=kind)
+    values[column.is_valid().to_numpy(zero_copy_only=False)] = flat
     return values
