@@ -15,6 +15,7 @@ That is how viscous friction serves as the thermometer.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -23,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .detector import BURN_IN, CLIP, NORMAL_MAD
-from .history import RunHistory
+from .history import RunHistory, joined
 from .matrices import inverse_total
 from .words import WORDS
 
@@ -136,37 +137,30 @@ def stacked(
     """
     if not histories:
         raise ValueError("no drive has records")
-    drives = tuple(histories)
-    first = histories[drives[0]]
-    for name, one in histories.items():
-        if one.names != first.names:
-            raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {drives[0]}")
-    bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in histories.values()])]).astype(np.int64)
-    information = np.concatenate([one.information for one in histories.values()])
+    together = joined(histories)
+    whole, bounds, information = together.whole, together.bounds, together.whole.information
     if columns is None:
         known = np.any(np.diagonal(information, 0, 1, 2) > 0.0, axis=0)
-        columns = [name for name, seen in zip(first.names, known, strict=True) if seen and name in COLUMNS]
+        columns = [name for name, seen in zip(whole.names, known, strict=True) if seen and name in COLUMNS]
     if not columns:
         raise ValueError("no run determines a parameter")
-    columns, kept = tuple(columns), [first.names.index(name) for name in columns]
-    theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
-    information = _of_known(information if len(kept) == len(first.names) else marginal(information, kept), theta)
+    columns, kept = tuple(columns), [whole.names.index(name) for name in columns]
+    theta = whole.theta[:, kept]
+    information = _of_known(information if len(kept) == len(whole.names) else marginal(information, kept), theta)
     theta = np.where(np.isfinite(theta), theta, 0.0)
     scales = _scales(bounds, theta, information, columns)
     by_run = np.repeat(scales, np.diff(bounds), axis=0)
     theta /= by_run
-    information *= by_run[:, :, None]
+    information = information * by_run[:, :, None]
     information *= by_run[:, None, :]
-    degc = np.concatenate([one.temperature_degc for one in histories.values()])
+    degc = whole.temperature_degc
     shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
     logged = shares >= TEMPERATURE_SHARE
     temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
-    chosen, extras, extra_variance = _extras(histories, orders)
-    speed = np.concatenate([one.speed_rms_rps for one in histories.values()])
+    chosen, extras, extra_variance = _extras(whole, bounds, orders)
     return Stack(
-        drives, bounds, np.concatenate([one.time_s for one in histories.values()]), theta, information, scales,
-        temperature, logged, np.log(np.maximum(speed, 1e-6)), extras, extra_variance,
-        np.concatenate([one.run for one in histories.values()]), columns, chosen,
+        tuple(together), bounds, whole.time_s, theta, information, scales, temperature, logged,
+        np.log(np.maximum(whole.speed_rms_rps, 1e-6)), extras, extra_variance, whole.run, columns, chosen,
     )  # fmt: skip
 
 
@@ -233,13 +227,13 @@ def _typical_size(values: Floats, known: Floats) -> float:
 
 
 def _extras(
-    histories: Mapping[str, RunHistory], orders: Sequence[float] | None
+    whole: RunHistory, bounds: Integers, orders: Sequence[float] | None
 ) -> tuple[tuple[float, ...], Floats, Floats]:
     """Logarithms of amplitudes of orders (None: those that stand out), of the residual and the gap; their variances."""
-    first = next(iter(histories.values()))
     if orders is None:
-        some = list(histories.values())[:LEARNED_DRIVES]
-        sample = np.concatenate([one.order_amplitude_nm[:LEARNED_RUNS] for one in some])
+        some = itertools.pairwise(bounds[: LEARNED_DRIVES + 1])
+        sample = np.concatenate([whole.order_amplitude_nm[a : min(a + LEARNED_RUNS, b)] for a, b in some])
+        sample = np.asarray(sample, dtype=np.float64)
         resolved = np.mean(np.isfinite(sample), axis=0) >= ORDER_SHARE if sample.size else np.zeros(0, bool)
         steady = np.zeros(resolved.size)
         for k in np.flatnonzero(resolved):
@@ -248,14 +242,11 @@ def _extras(
             spread = NORMAL_MAD * float(np.median(np.abs(size - usual)))
             steady[k] = usual / spread if spread > 0.0 and usual > LEAST_STEADINESS * spread else 0.0
         chosen = np.sort(np.argsort(steady)[::-1][:MOST_ORDERS])
-        orders = [float(first.orders[k]) for k in chosen if steady[k] > 0.0]
-    places = [int(np.flatnonzero(first.orders == order)[0]) for order in orders]
-    values = np.concatenate([
-        np.column_stack([one.order_amplitude_nm[:, places], one.rms_nm, one.gap_rev]) for one in histories.values()
-    ])  # fmt: skip
+        orders = [float(whole.orders[k]) for k in chosen if steady[k] > 0.0]
+    places = [int(np.flatnonzero(whole.orders == order)[0]) for order in orders]
+    values = np.column_stack([whole.order_amplitude_nm[:, places], whole.rms_nm, whole.gap_rev])
     variance = np.full(values.shape, EXTRA_SD**2)
-    own_sd = np.concatenate([one.gap_log_sd for one in histories.values()])
-    variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(own_sd), own_sd, 0.0) ** 2
+    variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(whole.gap_log_sd), whole.gap_log_sd, 0.0) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         return tuple(orders), np.where(values > 0.0, np.log(values), np.nan), variance
 
