@@ -42,7 +42,7 @@ class RunHistory(NamedTuple):
     information: Floats  # (n, p, p) inverse covariance of theta; 0 along what a run does not determine
     names: tuple[str, ...]  # (p,) `fleet.regress.PARAMETERS`, with their units
     rms_nm: Floats  # (n,) of the residual of the run's own regression
-    order_amplitude_nm: npt.NDArray[Any]  # (n, k) single or double, of the residual; nan where the run does not resolve an order
+    order_amplitude_nm: npt.NDArray[Any]  # (n, k) of the residual, float32 or 64; nan where a run does not resolve it
     orders: Floats  # (k,) periods a motor turn
     speed_rms_rps: Floats  # (n,)
     temperature_degc: Floats  # (n,) mean; nan where not logged

@@ -79,9 +79,7 @@ def sure_direction(motion: Kinematics) -> Floats:
     sure = np.flatnonzero(direction)
     if not sure.size:
         return direction
-    return np.asarray(
-        direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
-    )
+    return _held(direction[sure], np.concatenate([[0], sure[1:]]), direction.size)
 
 
 def travel_since_reversal_rev(motion: Kinematics) -> Floats:
@@ -92,8 +90,12 @@ def travel_since_reversal_rev(motion: Kinematics) -> Floats:
     turned = np.flatnonzero(np.diff(held) != 0.0) + 1
     starts = np.concatenate([[0], turned])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
-    index = np.searchsorted(starts, np.arange(held.size), side="right") - 1
-    return np.asarray(path - path[starts[index]])
+    return path - _held(path[starts], starts, held.size)
+
+
+def _held(values: Floats, starts: npt.NDArray[np.int64], count: int) -> Floats:
+    """Each value from its start, the first of which is 0, to the next one. (count,)"""
+    return np.repeat(values, np.diff(starts, append=count))
 
 
 def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float) -> Mask:

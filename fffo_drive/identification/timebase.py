@@ -50,7 +50,8 @@ def typical_period_s(time_s: Floats) -> float:
     """
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
-    if float(np.median(np.abs(_off_grid((time_s - time_s[0]) / median_s)))) <= ON_GRID:
+    stamps = (time_s - time_s[0]) / median_s
+    if float(np.median(np.abs(_off_grid(stamps, _phase(stamps))))) <= ON_GRID:
         return median_s
     usual = steps[(steps > median_s / GAP_PERIODS) & (steps < GAP_PERIODS * median_s)]
     return float(usual.mean()) if usual.size else median_s
@@ -68,12 +69,13 @@ def on_even_grid(time_s: Floats, columns: Mapping[str, Floats], known: Mask | No
     for begin, end in itertools.pairwise(edges):
         stamps = (time_s[begin:end] - time_s[begin]) / period_s
         values = {name: column[begin:end] for name, column in columns.items()}
-        part, good = _even_part(stamps, values, None if known is None else known[begin:end])
+        phase = _phase(stamps)
+        part, good = _even_part(stamps, phase, values, None if known is None else known[begin:end])
         if parts:
             breaks.append((breaks[-1] if breaks else 0) + goods[-1].size)
         parts.append(part)
         goods.append(good)
-        far.append(_off_grid(stamps))
+        far.append(_off_grid(stamps, phase))
     distance = np.concatenate(far)
     uneven = bool((np.abs(distance) > ON_GRID).any())
     good = np.concatenate(goods)
@@ -87,9 +89,8 @@ def on_even_grid(time_s: Floats, columns: Mapping[str, Floats], known: Mask | No
     )
 
 
-def _off_grid(stamps: Floats) -> Floats:
-    """Distance of stamps (n,) in periods from the uniform grid that lies best among them."""
-    phase = _phase(stamps)
+def _off_grid(stamps: Floats, phase: float) -> Floats:
+    """Distance of stamps (n,) in periods from the uniform grid at this phase."""
     return np.asarray(stamps - phase - np.round(stamps - phase))
 
 
@@ -98,10 +99,11 @@ def _phase(stamps: Floats) -> float:
     return float(np.angle(np.mean(np.exp(2j * np.pi * stamps))) / (2.0 * np.pi))
 
 
-def _even_part(stamps: Floats, columns: Mapping[str, Floats], known: Mask | None) -> tuple[dict[str, Floats], Mask]:
-    """One stretch without a long gap; `stamps` in periods from its first one."""
+def _even_part(
+    stamps: Floats, phase: float, columns: Mapping[str, Floats], known: Mask | None
+) -> tuple[dict[str, Floats], Mask]:
+    """One stretch without a long gap; `stamps` in periods from its first one, around a grid at this phase."""
     sure = np.ones(stamps.size, dtype=np.bool_) if known is None else known
-    phase = _phase(stamps)
     first = phase if phase >= -ON_GRID else phase + 1.0
     count = int(np.floor(float(stamps[-1]) + ON_GRID - first)) + 1
     grid = first + np.arange(max(count, 1), dtype=np.float64)
