@@ -13,7 +13,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @njit
-def _factor(matrix: Floats, lower: Floats) -> float:
+def factor(matrix: Floats, lower: Floats) -> float:
     """Cholesky factor of (p, p), and its determinant; 0 where it is not positive. A zero row and column is left out."""
     size = matrix.shape[0]
     determinant = 1.0
@@ -35,7 +35,7 @@ def _factor(matrix: Floats, lower: Floats) -> float:
 
 
 @njit
-def _solve(lower: Floats, right: Floats) -> None:
+def solve_in_place(lower: Floats, right: Floats) -> None:
     """Of the system that has this factor, in place, for all columns of (p, p) at once: along a row nothing waits."""
     size = right.shape[0]
     for i in range(size):
@@ -56,12 +56,12 @@ def _solve(lower: Floats, right: Floats) -> None:
 def _invert_each(matrices: Floats, lower: Floats, inverse: Floats, determinant: Floats) -> None:
     size = matrices.shape[1]
     for n in range(matrices.shape[0]):
-        determinant[n] = _factor(matrices[n], lower)
+        determinant[n] = factor(matrices[n], lower)
         if determinant[n] == 0.0:
             continue
         for j in range(size):
             inverse[n, j, j] = 1.0
-        _solve(lower, inverse[n])
+        solve_in_place(lower, inverse[n])
         for j in range(size):
             if matrices[n, j, j] == 0.0:
                 inverse[n, j, j] = 0.0
@@ -84,12 +84,12 @@ def _add_in_parallel(information: Floats, precision: Floats, both: Floats, lower
         for i in range(size):
             for j in range(size):
                 both[i, j] = information[n, i, j] + precision[i, j]
-        _factor(both, lower)
+        factor(both, lower)
         for i in range(size):
             for j in range(size):
                 both[i, j] = information[n, i, j]
                 total[n, i, j] = 0.0
-        _solve(lower, both)  # (I + S^-1)^-1 I
+        solve_in_place(lower, both)  # (I + S^-1)^-1 I
         for i in range(size):
             for k in range(size):
                 for j in range(size):
