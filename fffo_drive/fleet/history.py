@@ -24,7 +24,7 @@ Integers = npt.NDArray[np.int64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
-ROWS_AT_ONCE = 4_000  # solved at once: the intermediate arrays fit the processor's cache
+ROWS_AT_ONCE = 1_000  # solved at once: the intermediate arrays fit the processor's cache
 IN_TIME = [("start", "ascending"), ("run", "ascending")]
 BY_DRIVE = [("drive", "ascending"), *IN_TIME]
 SCALARS = ("energy_nm2", "rows", "effective_rows")
@@ -102,10 +102,11 @@ class ModelRecords(NamedTuple):
         ends = np.cumsum([len(batch) for batch in self.batches])
         as_read = np.sort(rows)
         cuts = np.searchsorted(as_read, [0, *ends])
-        parts = [
-            batch.take(as_read[a:b] - (end - len(batch)))
-            for batch, end, (a, b) in zip(self.batches, ends, itertools.pairwise(cuts), strict=True) if b > a
-        ]  # fmt: skip
+        parts = []
+        for batch, end, (a, b) in zip(self.batches, ends, itertools.pairwise(cuts), strict=True):
+            own = as_read[a:b] - (end - len(batch))
+            if own.size:  # of neighbours, as a merged file has them, no copy
+                parts.append(batch.slice(own[0], b - a) if own[-1] - own[0] < b - a else batch.take(own))
         table = pa.Table.from_batches(parts).combine_chunks()
         return _by_drive(table.take(np.searchsorted(as_read, rows)))
 
@@ -164,23 +165,14 @@ def joined(histories: Mapping[str, RunHistory]) -> Histories:
         if one.names != parts[0].names:
             raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {first}")
     bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in parts])]).astype(np.int64)
-    return Histories(list(histories), bounds, _joined(parts))
+    by_run: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in BY_RUN}
+    return Histories(list(histories), bounds, parts[0]._replace(**by_run))
 
 
 def _by_drive(table: pa.Table) -> Histories:
-    """Histories of rows that are in order: solved in batches."""
-    begins = range(0, max(table.num_rows, 1), ROWS_AT_ONCE)
-    whole = _joined([_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in begins])
+    """Histories of rows that are in order."""
     bounds = edges_of(table, "drive") if table.num_rows else np.zeros(1, dtype=np.int64)
-    return Histories(table.column("drive").take(bounds[:-1]).to_pylist(), bounds, whole)
-
-
-def _joined(parts: Sequence[RunHistory]) -> RunHistory:
-    """Parts that follow each other."""
-    if len(parts) == 1:
-        return parts[0]
-    by_run: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in BY_RUN}
-    return parts[0]._replace(**by_run)
+    return Histories(table.column("drive").take(bounds[:-1]).to_pylist(), bounds, _history_of_rows(table))
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
@@ -226,8 +218,17 @@ def balance_of_rows(table: pa.Table) -> Balance:
 
 def estimates_of(table: pa.Table) -> Estimates:
     """What each record gives by itself. (n, ...)"""
-    scalars = (column_of(table, name) for name in SCALARS)
-    return solve_each(unpacked(matrix_of(table, "normal")), matrix_of(table, "moment"), *scalars)
+    normal, moment = matrix_of(table, "normal"), matrix_of(table, "moment")
+    scalars = np.stack([column_of(table, name) for name in SCALARS])
+    size = moment.shape[1]
+    shapes = (size,), (size, size), (size,), ()
+    found = Estimates(*(np.empty((table.num_rows, *shape)) for shape in shapes))
+    for begin in range(0, table.num_rows, ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
+        solved = solve_each(unpacked(normal[rows]), moment[rows], *scalars[:, rows])
+        for whole, part in zip(found, solved, strict=True):
+            whole[rows] = part
+    return found
 
 
 def gap_of_rows(table: pa.Table) -> Gap:
