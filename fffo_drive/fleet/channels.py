@@ -15,6 +15,7 @@ That is how viscous friction serves as the thermometer.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -22,9 +23,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..jit import njit
 from .detector import BURN_IN, CLIP, NORMAL_MAD
-from .history import RunHistory
-from .matrices import inverse_total
+from .history import RunHistory, joined
+from .matrices import factor, inverse_total
 from .words import WORDS
 
 Floats = npt.NDArray[np.float64]
@@ -136,37 +138,30 @@ def stacked(
     """
     if not histories:
         raise ValueError("no drive has records")
-    drives = tuple(histories)
-    first = histories[drives[0]]
-    for name, one in histories.items():
-        if one.names != first.names:
-            raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {drives[0]}")
-    bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in histories.values()])]).astype(np.int64)
-    information = np.concatenate([one.information for one in histories.values()])
+    together = joined(histories)
+    whole, bounds, information = together.whole, together.bounds, together.whole.information
     if columns is None:
         known = np.any(np.diagonal(information, 0, 1, 2) > 0.0, axis=0)
-        columns = [name for name, seen in zip(first.names, known, strict=True) if seen and name in COLUMNS]
+        columns = [name for name, seen in zip(whole.names, known, strict=True) if seen and name in COLUMNS]
     if not columns:
         raise ValueError("no run determines a parameter")
-    columns, kept = tuple(columns), [first.names.index(name) for name in columns]
-    theta = np.concatenate([one.theta[:, kept] for one in histories.values()])
-    information = _of_known(information if len(kept) == len(first.names) else marginal(information, kept), theta)
+    columns, kept = tuple(columns), [whole.names.index(name) for name in columns]
+    theta = whole.theta[:, kept]
+    information = _of_known(information if len(kept) == len(whole.names) else marginal(information, kept), theta)
     theta = np.where(np.isfinite(theta), theta, 0.0)
     scales = _scales(bounds, theta, information, columns)
     by_run = np.repeat(scales, np.diff(bounds), axis=0)
     theta /= by_run
-    information *= by_run[:, :, None]
+    information = information * by_run[:, :, None]
     information *= by_run[:, None, :]
-    degc = np.concatenate([one.temperature_degc for one in histories.values()])
+    degc = whole.temperature_degc
     shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
     logged = shares >= TEMPERATURE_SHARE
     temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
-    chosen, extras, extra_variance = _extras(histories, orders)
-    speed = np.concatenate([one.speed_rms_rps for one in histories.values()])
+    chosen, extras, extra_variance = _extras(whole, bounds, orders)
     return Stack(
-        drives, bounds, np.concatenate([one.time_s for one in histories.values()]), theta, information, scales,
-        temperature, logged, np.log(np.maximum(speed, 1e-6)), extras, extra_variance,
-        np.concatenate([one.run for one in histories.values()]), columns, chosen,
+        tuple(together), bounds, whole.time_s, theta, information, scales, temperature, logged,
+        np.log(np.maximum(whole.speed_rms_rps, 1e-6)), extras, extra_variance, whole.run, columns, chosen,
     )  # fmt: skip
 
 
@@ -233,13 +228,13 @@ def _typical_size(values: Floats, known: Floats) -> float:
 
 
 def _extras(
-    histories: Mapping[str, RunHistory], orders: Sequence[float] | None
+    whole: RunHistory, bounds: Integers, orders: Sequence[float] | None
 ) -> tuple[tuple[float, ...], Floats, Floats]:
     """Logarithms of amplitudes of orders (None: those that stand out), of the residual and the gap; their variances."""
-    first = next(iter(histories.values()))
     if orders is None:
-        some = list(histories.values())[:LEARNED_DRIVES]
-        sample = np.concatenate([one.order_amplitude_nm[:LEARNED_RUNS] for one in some])
+        some = itertools.pairwise(bounds[: LEARNED_DRIVES + 1])
+        sample = np.concatenate([whole.order_amplitude_nm[a : min(a + LEARNED_RUNS, b)] for a, b in some])
+        sample = np.asarray(sample, dtype=np.float64)
         resolved = np.mean(np.isfinite(sample), axis=0) >= ORDER_SHARE if sample.size else np.zeros(0, bool)
         steady = np.zeros(resolved.size)
         for k in np.flatnonzero(resolved):
@@ -248,14 +243,11 @@ def _extras(
             spread = NORMAL_MAD * float(np.median(np.abs(size - usual)))
             steady[k] = usual / spread if spread > 0.0 and usual > LEAST_STEADINESS * spread else 0.0
         chosen = np.sort(np.argsort(steady)[::-1][:MOST_ORDERS])
-        orders = [float(first.orders[k]) for k in chosen if steady[k] > 0.0]
-    places = [int(np.flatnonzero(first.orders == order)[0]) for order in orders]
-    values = np.concatenate([
-        np.column_stack([one.order_amplitude_nm[:, places], one.rms_nm, one.gap_rev]) for one in histories.values()
-    ])  # fmt: skip
+        orders = [float(whole.orders[k]) for k in chosen if steady[k] > 0.0]
+    places = [int(np.flatnonzero(whole.orders == order)[0]) for order in orders]
+    values = np.column_stack([whole.order_amplitude_nm[:, places], whole.rms_nm, whole.gap_rev])
     variance = np.full(values.shape, EXTRA_SD**2)
-    own_sd = np.concatenate([one.gap_log_sd for one in histories.values()])
-    variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(own_sd), own_sd, 0.0) ** 2
+    variance[:, -1] = GAP_SD**2 + np.where(np.isfinite(whole.gap_log_sd), whole.gap_log_sd, 0.0) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         return tuple(orders), np.where(values > 0.0, np.log(values), np.nan), variance
 
@@ -405,13 +397,28 @@ def _weights(information: Floats, prior: FleetPrior, covariance: Floats) -> tupl
     """
     directions = np.vstack([prior.directions, prior.line])
     inverse = inverse_total(information, covariance)
-    along = directions @ inverse
-    diagonal = np.einsum("nij,ij->ni", along, directions)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.where(diagonal[:, :, None] > 0.0, along / diagonal[:, :, None], np.nan)
-        variance = np.where(diagonal > 0.0, 1.0 / diagonal, np.inf)
+    weights, variance = np.zeros((inverse.shape[0], *directions.shape)), np.empty((inverse.shape[0], len(directions)))
+    _weigh(directions, inverse, weights, variance)
     weights[:, -1] = np.nan_to_num(weights[:, -1])  # runs that say nothing of temperature are at the usual one
     return weights, variance, inverse
+
+
+@njit
+def _weigh(directions: Floats, inverse: Floats, weights: Floats, variance: Floats) -> None:
+    """Weights of each law (n, law, column), 0 before, and variances (n, law), by directions (law, column)."""
+    size = directions.shape[1]
+    for n in range(inverse.shape[0]):
+        for law in range(directions.shape[0]):
+            diagonal = 0.0
+            for k in range(size):
+                if directions[law, k] != 0.0:
+                    for j in range(size):
+                        weights[n, law, j] += directions[law, k] * inverse[n, k, j]
+            for j in range(size):
+                diagonal += weights[n, law, j] * directions[law, j]
+            variance[n, law] = 1.0 / diagonal if diagonal > 0.0 else math.inf
+            for j in range(size):
+                weights[n, law, j] = weights[n, law, j] / diagonal if diagonal > 0.0 else math.nan
 
 
 def _usual_weights(stack: Stack, prior: FleetPrior, drives: Integers, covariance: Floats) -> Floats:
@@ -455,36 +462,65 @@ def _references(
     """Level and slope (blocks, d, p) of each drive by its runs up to the end of each block of REFERENCE_EVERY."""
     size = theta.shape[1]
     blocks = max(1, (int(place.max(initial=0)) + REFERENCE_EVERY) // REFERENCE_EVERY)
-    block = place // REFERENCE_EVERY
     slopes = bool(np.any(steps != 0.0))
     terms = 2 if slopes else 1
-    levels, found = np.zeros((blocks, drives, size)), np.zeros((blocks, drives, size))
-    normal, right = np.zeros((drives, terms * size, terms * size)), np.zeros((drives, terms * size))
     ridge = np.concatenate([np.full(size, 1e-6), *([prior.slope_sd**-2] if slopes else [])])
-    normal[:, np.arange(terms * size), np.arange(terms * size)] = ridge
-    if slopes:
-        right[:, size:] = prior.slope * ridge[size:]
-    for number in range(blocks):
-        now = np.flatnonzero(block == number)
-        weight = np.ones(now.size)
-        if number:
-            reference = levels[number - 1, own[now]] + steps[now, None] * found[number - 1, own[now]]
-            away = theta[now] - reference
-            distance = np.einsum("ni,nij,nj->n", away, inverse[now], away)
-            weight = np.minimum(1.0, 2.0 * size / np.maximum(distance, 1e-9))
-        taken = inverse[now] * weight[:, None, None]
-        moment = np.einsum("nij,nj->ni", taken, theta[now])
-        here, begins = np.unique(own[now], return_index=True)
-        for a in range(terms):
-            left = steps[now] if a else 1.0
-            rows = slice(a * size, (a + 1) * size)
-            right[here, rows] += np.add.reduceat(moment * np.reshape(left, (-1, 1)), begins, axis=0)
-            for b in range(terms):
-                both = left * (steps[now] if b else 1.0)
-                part = np.add.reduceat(taken * np.reshape(both, (-1, 1, 1)), begins, axis=0)
-                normal[here, rows, b * size : (b + 1) * size] += part
-        solution = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        levels[number] = solution[:, :size]
-        if slopes:
-            found[number] = solution[:, size:]
-    return levels, found
+    pull = np.concatenate([np.zeros(size), *([prior.slope * ridge[size:]] if slopes else [])])
+    found = np.zeros((blocks, drives, 2, size))
+    bounds = np.searchsorted(own, np.arange(drives + 1))
+    square = (terms * size, terms * size)
+    _follow(
+        bounds, theta, steps, inverse, ridge, pull, np.empty(square), np.empty(terms * size), np.empty(size),
+        np.zeros(square), found,
+    )  # fmt: skip
+    return found[:, :, 0], found[:, :, 1]
+
+
+@njit
+def _follow(
+    bounds: Integers, theta: Floats, steps: Floats, inverse: Floats, ridge: Floats, pull: Floats, normal: Floats,
+    right: Floats, own: Floats, lower: Floats, found: Floats,
+) -> None:  # fmt: skip
+    """Level and slope (blocks, d, 2, p) of drives by all of their runs so far; those far from the last weigh less."""
+    size = theta.shape[1]
+    terms = ridge.size // size
+    for d in range(bounds.size - 1):
+        for i in range(ridge.size):
+            right[i] = pull[i]
+            for j in range(ridge.size):
+                normal[i, j] = ridge[i] if i == j else 0.0
+        for block in range(found.shape[0]):
+            begin = bounds[d] + block * REFERENCE_EVERY
+            for n in range(begin, min(begin + REFERENCE_EVERY, bounds[d + 1])):
+                weight = 1.0
+                if block:
+                    distance = 0.0
+                    for i in range(size):
+                        own[i] = theta[n, i] - found[block - 1, d, 0, i] - steps[n] * found[block - 1, d, 1, i]
+                    for i in range(size):
+                        for j in range(size):
+                            distance += own[i] * inverse[n, i, j] * own[j]
+                    weight = min(1.0, 2.0 * size / max(distance, 1e-9))
+                for i in range(size):
+                    moment = 0.0
+                    for j in range(size):
+                        moment += weight * inverse[n, i, j] * theta[n, j]
+                    for a in range(terms):
+                        left = steps[n] if a else 1.0
+                        right[a * size + i] += left * moment
+                        for b in range(terms):
+                            both = left * (steps[n] if b else 1.0) * weight
+                            for j in range(size):
+                                normal[a * size + i, b * size + j] += both * inverse[n, i, j]
+            factor(normal, lower)
+            # one solution of the triangular systems, forwards and backwards
+            for i in range(ridge.size):
+                value = right[i]
+                for k in range(i):
+                    value -= lower[i, k] * found[block, d, k // size, k % size]
+                found[block, d, i // size, i % size] = value / lower[i, i]
+            for i in range(ridge.size - 1, -1, -1):
+                value = found[block, d, i // size, i % size]
+                for k in range(i + 1, ridge.size):
+                    value -= lower[k, i] * found[block, d, k // size, k % size]
+                found[block, d, i // size, i % size] = value / lower[i, i]

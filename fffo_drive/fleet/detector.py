@@ -218,12 +218,12 @@ def _detect(
                         state[c, k] = kept[level_begin - bounds[drive], c, k]
                     _settle(state[c], y, noise, covariates, c, level_begin, n + 1, memory[c], scratch)
                 for j in range(2 * SLOPES.size):
-                    grown = 0.0
+                    sums[c, j] += step_y[n]
                     if z == z:
                         slope = SLOPES[j // 2] * (1.0 if j % 2 == 0 else -1.0)
                         grown = slope * clipped - norm[j // 2]
-                    sums[c, j] = (sums[c, j] + step_y[n]) * math.exp(grown)
-                    climbs[c, j] += grown
+                        sums[c, j] *= math.exp(grown)
+                        climbs[c, j] += grown
                     if climbs[c, j] <= 0.0:
                         climbs[c, j] = 0.0
                         begins[c, j] = n + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,9 @@ Integers = npt.NDArray[np.int64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32
-ROWS_AT_ONCE = 4_000  # solved at once: the intermediate arrays fit the processor's cache
+ROWS_AT_ONCE = 1_000  # solved at once: the intermediate arrays fit the processor's cache
 IN_TIME = [("start", "ascending"), ("run", "ascending")]
+BY_DRIVE = [("drive", "ascending"), *IN_TIME]
 SCALARS = ("energy_nm2", "rows", "effective_rows")
 HISTORY_COLUMNS = (
     "run", "start", "normal", "moment", "energy_nm2", "rows", "effective_rows", "rms_nm", "order_amplitude_nm",
@@ -41,7 +42,7 @@ class RunHistory(NamedTuple):
     information: Floats  # (n, p, p) inverse covariance of theta; 0 along what a run does not determine
     names: tuple[str, ...]  # (p,) `fleet.regress.PARAMETERS`, with their units
     rms_nm: Floats  # (n,) of the residual of the run's own regression
-    order_amplitude_nm: Floats  # (n, k) of the residual; nan where the run does not resolve an order
+    order_amplitude_nm: npt.NDArray[Any]  # (n, k) of the residual, float32 or 64; nan where a run does not resolve it
     orders: Floats  # (k,) periods a motor turn
     speed_rms_rps: Floats  # (n,)
     temperature_degc: Floats  # (n,) mean; nan where not logged
@@ -76,7 +77,7 @@ def records_of_drive(
     return found
 
 
-def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None) -> dict[str, RunHistory]:
+def histories(store: FleetStore, model: str, drives: Sequence[str] | None = None) -> Histories:
     """Histories of drives (None: of all) of a model, by drive; one without records is left out."""
     where = pc.field("model") == model
     where = where if drives is None else where & _any_of(drives)
@@ -91,51 +92,87 @@ def models_of(store: FleetStore) -> list[str]:
 class ModelRecords(NamedTuple):
     """Records of a model, read once and converted to histories in parts, which take several times the memory."""
 
-    table: pa.Table
-    bounds: Integers  # (d + 1,) rows of each drive
+    batches: Sequence[pa.RecordBatch]  # as they were read: a copy of all of them takes as long as the reading
+    order: Integers  # (n,) their rows by drive and time
+    bounds: Integers  # (d + 1,) of each drive, in this order
 
-    def histories(self, drives: Integers) -> dict[str, RunHistory]:
+    def histories(self, drives: Integers) -> Histories:
         """Of the drives at these places."""
-        own = [self.table.slice(self.bounds[k], self.bounds[k + 1] - self.bounds[k]) for k in drives]
-        return _by_drive(pa.concat_tables(own).combine_chunks())
+        rows = np.concatenate([self.order[self.bounds[k] : self.bounds[k + 1]] for k in drives])
+        ends = np.cumsum([len(batch) for batch in self.batches])
+        as_read = np.sort(rows)
+        cuts = np.searchsorted(as_read, [0, *ends])
+        parts = []
+        for batch, end, (a, b) in zip(self.batches, ends, itertools.pairwise(cuts), strict=True):
+            own = as_read[a:b] - (end - len(batch))
+            if own.size:  # of neighbours, as a merged file has them, no copy
+                parts.append(batch.slice(own[0], b - a) if own[-1] - own[0] < b - a else batch.take(own))
+        table = pa.Table.from_batches(parts).combine_chunks()
+        return _by_drive(table.take(np.searchsorted(as_read, rows)))
 
 
 def model_records(store: FleetStore, model: str) -> ModelRecords:
     """All records of a model."""
-    table = _sorted(store.records(("drive", *HISTORY_COLUMNS), pc.field("model") == model))
-    return ModelRecords(table, _edges(table))
+    table = store.records(("drive", *HISTORY_COLUMNS), pc.field("model") == model)
+    keys = table.select(["drive", "start", "run"])
+    order = pc.sort_indices(keys, BY_DRIVE)
+    return ModelRecords(table.to_batches(), order.to_numpy().astype(np.int64), edges_of(keys.take(order), "drive"))
 
 
 def _sorted(table: pa.Table) -> pa.Table:
-    return table.sort_by([("drive", "ascending"), *IN_TIME]).combine_chunks()
+    return table.sort_by(BY_DRIVE).combine_chunks()
 
 
-def _edges(table: pa.Table) -> Integers:
-    """Where the rows of each drive begin, and where the last ones end."""
-    drive = table.column("drive").combine_chunks()
-    changes = pc.not_equal(drive[1:], drive[:-1]).to_numpy(zero_copy_only=False)
-    return np.array([0, *(np.flatnonzero(changes) + 1), len(drive)])
+def edges_of(table: pa.Table, *columns: str) -> Integers:
+    """Where rows begin that have other words in these columns than the row before, and where the last ones end."""
+    changed = np.zeros(max(table.num_rows - 1, 0), dtype=bool)
+    for column in (table.column(name).combine_chunks() for name in columns):
+        changed |= pc.not_equal(column[1:], column[:-1]).to_numpy(zero_copy_only=False)
+    return np.array([0, *(np.flatnonzero(changed) + 1), table.num_rows])
 
 
-def _by_drive(table: pa.Table) -> dict[str, RunHistory]:
-    """Histories of rows that are in order: solved in batches, then cut by drive."""
-    if not table.num_rows:
-        return {}
-    parts = [_history_of_rows(table.slice(begin, ROWS_AT_ONCE)) for begin in range(0, table.num_rows, ROWS_AT_ONCE)]
-    whole = parts[0] if len(parts) == 1 else _joined(parts)
-    edges, drive = _edges(table).tolist(), table.column("drive")
-    return {str(drive[a]): _cut(whole, slice(a, b)) for a, b in itertools.pairwise(edges)}
+class Histories(Mapping[str, RunHistory]):
+    """Histories of d drives, cut out of those of all of their runs."""
+
+    def __init__(self, drives: Sequence[str], bounds: Integers, whole: RunHistory) -> None:
+        """`bounds` (d + 1,): drive k has the runs bounds[k]:bounds[k + 1] of `whole`."""
+        self.bounds, self.whole = bounds, whole
+        self._place = {drive: k for k, drive in enumerate(drives)}
+
+    def __getitem__(self, drive: str) -> RunHistory:
+        """The runs of one."""
+        k = self._place[drive]
+        runs = slice(int(self.bounds[k]), int(self.bounds[k + 1]))
+        by_run: dict[str, Any] = {name: getattr(self.whole, name)[runs] for name in BY_RUN}
+        return self.whole._replace(**by_run)
+
+    def __iter__(self) -> Iterator[str]:
+        """Drives, in order."""
+        return iter(self._place)
+
+    def __len__(self) -> int:
+        """How many drives."""
+        return len(self._place)
 
 
-def _joined(parts: Sequence[RunHistory]) -> RunHistory:
-    """Parts that follow each other."""
+def joined(histories: Mapping[str, RunHistory]) -> Histories:
+    """Histories of at least one drive, one after the other. Raises ValueError where their columns differ."""
+    if isinstance(histories, Histories):
+        return histories
+    parts = list(histories.values())
+    first = next(iter(histories))
+    for name, one in histories.items():
+        if one.names != parts[0].names:
+            raise ValueError(f"drive {name}: columns {', '.join(one.names)}, not those of drive {first}")
+    bounds = np.concatenate([[0], np.cumsum([one.time_s.size for one in parts])]).astype(np.int64)
     by_run: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in BY_RUN}
-    return parts[0]._replace(**by_run)
+    return Histories(list(histories), bounds, parts[0]._replace(**by_run))
 
 
-def _cut(history: RunHistory, runs: slice) -> RunHistory:
-    by_run: dict[str, Any] = {name: getattr(history, name)[runs] for name in BY_RUN}
-    return history._replace(**by_run)
+def _by_drive(table: pa.Table) -> Histories:
+    """Histories of rows that are in order."""
+    bounds = edges_of(table, "drive") if table.num_rows else np.zeros(1, dtype=np.int64)
+    return Histories(table.column("drive").take(bounds[:-1]).to_pylist(), bounds, _history_of_rows(table))
 
 
 def _any_of(drives: Sequence[str]) -> pc.Expression:
@@ -161,7 +198,7 @@ def _history_of_rows(table: pa.Table) -> RunHistory:
         information=solved.information,
         names=PARAMETERS,
         rms_nm=column_of(table, "rms_nm"),
-        order_amplitude_nm=matrix_of(table, "order_amplitude_nm"),
+        order_amplitude_nm=matrix_of(table, "order_amplitude_nm", np.float32),
         orders=ORDERS,
         speed_rms_rps=column_of(table, "speed_rms_rps"),
         temperature_degc=column_of(table, "temperature_degc"),
@@ -181,8 +218,17 @@ def balance_of_rows(table: pa.Table) -> Balance:
 
 def estimates_of(table: pa.Table) -> Estimates:
     """What each record gives by itself. (n, ...)"""
-    scalars = (column_of(table, name) for name in SCALARS)
-    return solve_each(unpacked(matrix_of(table, "normal")), matrix_of(table, "moment"), *scalars)
+    normal, moment = matrix_of(table, "normal"), matrix_of(table, "moment")
+    scalars = np.stack([column_of(table, name) for name in SCALARS])
+    size = moment.shape[1]
+    shapes = (size,), (size, size), (size,), ()
+    found = Estimates(*(np.empty((table.num_rows, *shape)) for shape in shapes))
+    for begin in range(0, table.num_rows, ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
+        solved = solve_each(unpacked(normal[rows]), moment[rows], *scalars[:, rows])
+        for whole, part in zip(found, solved, strict=True):
+            whole[rows] = part
+    return found
 
 
 def gap_of_rows(table: pa.Table) -> Gap:
@@ -198,11 +244,16 @@ def column_of(table: pa.Table, name: str) -> Floats:
     return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
-def matrix_of(table: pa.Table, name: str) -> Floats:
-    """A column of lists of one length; nan in a row without one, of an older version. (n, length)"""
+def matrix_of(table: pa.Table, name: str, kind: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """A column of lists of one length; nan in a row without one, of an older version. (n, length)
+
+    Not to be written to: where the column is of this kind and has no gaps, it is the column itself.
+    """
     column = table.column(name).combine_chunks()
-    values = np.full((len(column), column.type.list_size), np.nan)
-    there = column.is_valid().to_numpy(zero_copy_only=False)
-    flat = np.asarray(column.drop_null().flatten().to_numpy(zero_copy_only=False), dtype=np.float64)
-    values[there] = flat.reshape(-1, column.type.list_size)
+    size = column.type.list_size
+    flat = np.asarray(column.drop_null().flatten().to_numpy(zero_copy_only=False), dtype=kind).reshape(-1, size)
+    if not column.null_count:
+        return flat
+    values = np.full((len(column), size), np.nan, dtype=kind)
+    values[column.is_valid().to_numpy(zero_copy_only=False)] = flat
     return values

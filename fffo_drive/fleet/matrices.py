@@ -13,7 +13,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @njit
-def _factor(matrix: Floats, lower: Floats) -> float:
+def factor(matrix: Floats, lower: Floats) -> float:
     """Cholesky factor of (p, p), and its determinant; 0 where it is not positive. A zero row and column is left out."""
     size = matrix.shape[0]
     determinant = 1.0
@@ -35,29 +35,34 @@ def _factor(matrix: Floats, lower: Floats) -> float:
 
 
 @njit
-def _solve(lower: Floats, column: Floats) -> None:
-    """Of the system that has this factor, in place."""
-    size = column.size
+def solve_in_place(lower: Floats, right: Floats) -> None:
+    """Of the system that has this factor, in place, for all columns of (p, p) at once: along a row nothing waits."""
+    size = right.shape[0]
     for i in range(size):
         for k in range(i):
-            column[i] -= lower[i, k] * column[k]
-        column[i] /= lower[i, i]
+            for j in range(size):
+                right[i, j] -= lower[i, k] * right[k, j]
+        for j in range(size):
+            right[i, j] /= lower[i, i]
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
-            column[i] -= lower[k, i] * column[k]
-        column[i] /= lower[i, i]
+            for j in range(size):
+                right[i, j] -= lower[k, i] * right[k, j]
+        for j in range(size):
+            right[i, j] /= lower[i, i]
 
 
 @njit
 def _invert_each(matrices: Floats, lower: Floats, inverse: Floats, determinant: Floats) -> None:
     size = matrices.shape[1]
     for n in range(matrices.shape[0]):
-        determinant[n] = _factor(matrices[n], lower)
+        determinant[n] = factor(matrices[n], lower)
         if determinant[n] == 0.0:
             continue
         for j in range(size):
             inverse[n, j, j] = 1.0
-            _solve(lower, inverse[n, j])
+        solve_in_place(lower, inverse[n])
+        for j in range(size):
             if matrices[n, j, j] == 0.0:
                 inverse[n, j, j] = 0.0
 
@@ -79,18 +84,18 @@ def _add_in_parallel(information: Floats, precision: Floats, both: Floats, lower
         for i in range(size):
             for j in range(size):
                 both[i, j] = information[n, i, j] + precision[i, j]
-        _factor(both, lower)
-        for j in range(size):  # row j of `both`: column j of (I + S^-1)^-1 I
-            for i in range(size):
-                both[j, i] = information[n, i, j]
-            _solve(lower, both[j])
+        factor(both, lower)
         for i in range(size):
-            for j in range(i + 1):
-                one, other = 0.0, 0.0
-                for k in range(size):
-                    one += precision[i, k] * both[j, k]
-                    other += precision[j, k] * both[i, k]
-                total[n, i, j] = total[n, j, i] = 0.5 * (one + other)
+            for j in range(size):
+                both[i, j] = information[n, i, j]
+                total[n, i, j] = 0.0
+        solve_in_place(lower, both)  # (I + S^-1)^-1 I
+        for i in range(size):
+            for k in range(size):
+                for j in range(size):
+                    total[n, i, j] += precision[i, k] * both[k, j]
+            for j in range(i):
+                total[n, i, j] = total[n, j, i] = 0.5 * (total[n, i, j] + total[n, j, i])
 
 
 def inverse_total(information: Floats, covariance: Floats) -> Floats:

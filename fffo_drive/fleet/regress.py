@@ -20,6 +20,7 @@ from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
+from ..jit import njit
 from .matrices import inverses
 
 Floats = npt.NDArray[np.float64]
@@ -115,7 +116,8 @@ def _scaled(normal: Floats) -> tuple[Floats, Floats]:
     """Lengths of the columns (..., p), and the normal matrix (..., p, p) of columns of length one."""
     length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
     scale = np.where(length > 0.0, length, 1.0)
-    return scale, normal / (scale[..., :, None] * scale[..., None, :])
+    both: Floats = scale[..., :, None] * scale[..., None, :]
+    return scale, np.divide(normal, both, out=both)
 
 
 def solve(balance: Balance) -> Estimates:
@@ -127,32 +129,50 @@ def solve(balance: Balance) -> Estimates:
 
 def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats, effective_rows: Floats) -> Estimates:
     """`solve` of n balances: (n, p, p), (n, p) and (n,) each."""
-    scale, scaled = _scaled(normal)
-    there = np.diagonal(scaled, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
-    rank, within = there.sum(axis=-1), np.ones(there.shape, dtype=bool)
-    inverse, determinant = inverses(scaled)
+    scale, information = _scaled(normal)
+    within = np.diagonal(information, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
+    rank = within.sum(axis=-1)
+    inverse, determinant = inverses(information)
     # with ones on the diagonal the smallest eigenvalue is at least the determinant over e, by the means of the others
     rest = np.flatnonzero(determinant < math.e * SINGULAR)
-    curvature, directions = np.linalg.eigh(scaled[rest])
+    curvature, directions = np.linalg.eigh(information[rest])
     known = curvature > SINGULAR
     rank[rest] = known.sum(axis=-1)
-    for matrices, values in ((inverse, 1.0 / np.where(known, curvature, np.inf)), (scaled, known * curvature)):
+    for matrices, values in ((inverse, 1.0 / np.where(known, curvature, np.inf)), (information, known * curvature)):
         matrices[rest] = np.einsum("nij,nj,nkj->nik", directions, values, directions)
     # a parameter that has a part in a direction that is not determined is not determined either
-    within[rest] = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
-    theta = np.einsum("nij,nj->ni", inverse, moment / scale) / scale
-    left = np.maximum(energy_nm2 - np.einsum("ni,ni->n", moment, theta), 0.0)
-    variance_nm2 = left / np.maximum(rows - rank, 1.0)
-    noisy = variance_nm2 > 0.0
-    share = np.where(noisy, effective_rows / np.maximum(rows, 1.0), 0.0)
-    precision = np.where(noisy, share / np.where(noisy, variance_nm2, 1.0), 0.0)
-    size = scale * there
-    information = scaled * (size[:, :, None] * size[:, None, :]) * precision[:, None, None]
-    inflation = np.diagonal(inverse, axis1=-2, axis2=-1)
-    sure = within & there & (inflation < LARGEST_INFLATION) & (precision > 0.0)[:, None]
-    variance = inflation / np.where(precision > 0.0, precision, 1.0)[:, None]
-    sd = np.where(sure, np.sqrt(np.maximum(variance, 0.0)) / scale, np.nan)
-    return Estimates(theta, information, sd, np.sqrt(left / np.maximum(rows, 1.0)))
+    within[rest] &= np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
+    theta, sd, rms_nm = np.empty(scale.shape), np.full(scale.shape, np.nan), np.empty(rank.size)
+    sums = np.array([energy_nm2, rows, effective_rows])
+    _estimate_each(inverse, scale, rank, within, np.array(moment), sums, theta, information, sd, rms_nm)
+    return Estimates(theta, information, sd, rms_nm)
+
+
+@njit
+def _estimate_each(
+    inverse: Floats, scale: Floats, rank: Integers, within: npt.NDArray[np.bool_], moment: Floats, sums: Floats,
+    theta: Floats, information: Floats, sd: Floats, rms_nm: Floats,
+) -> None:  # fmt: skip
+    """Estimates by the inverses of scaled balances; `information`: these balances, which become it in place."""
+    size = scale.shape[1]
+    for n in range(scale.shape[0]):
+        explained = 0.0
+        for i in range(size):
+            value = 0.0
+            for j in range(size):
+                value += inverse[n, i, j] * (moment[n, j] / scale[n, j])
+            theta[n, i] = value / scale[n, i]
+            explained += moment[n, i] * theta[n, i]
+        left = max(sums[0, n] - explained, 0.0)
+        rows = max(sums[1, n], 1.0)
+        variance_nm2 = left / max(sums[1, n] - rank[n], 1.0)
+        precision = sums[2, n] / rows / variance_nm2 if variance_nm2 > 0.0 else 0.0
+        rms_nm[n] = math.sqrt(left / rows)
+        for i in range(size):
+            for j in range(size):
+                information[n, i, j] *= scale[n, i] * scale[n, j] * precision
+            if within[n, i] and inverse[n, i, i] < LARGEST_INFLATION and precision > 0.0:
+                sd[n, i] = math.sqrt(max(inverse[n, i, i], 0.0) / precision) / scale[n, i]
 
 
 def explained_by(balance: Balance, without: tuple[int, ...]) -> float:

@@ -9,13 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy import stats
+from scipy import special
 
-from .history import SCALARS, US_PER_S, column_of, matrix_of
+from ..jit import njit
+from .history import SCALARS, US_PER_S, column_of, edges_of, matrix_of
 from .regress import PARAMETERS, UPPER, solve_each, unpacked
 from .schema import HIGHEST_ORDER, unit_of
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 SPREAD_COLUMNS = (
     "model", "drive", "start", "units", "normal", "moment", *SCALARS, "order_amplitude_nm",
@@ -89,40 +91,51 @@ class _Sums:
 
     def take(self, table: pa.Table) -> None:
         """Add the records of a table (SPREAD_COLUMNS)."""
-        key = pc.binary_join_element_wise(table.column("model"), table.column("drive"), SEPARATOR)
-        coded = key.combine_chunks().dictionary_encode()
-        code = coded.indices.to_numpy()
-        order = np.argsort(code, kind="stable")
-        begins = np.flatnonzero(np.diff(code[order], prepend=-1))
-        names = coded.dictionary.to_pylist()
-        units = table.column("units").combine_chunks()
-        at = np.array([self._place(names[code[k]], units[int(k)].as_py()) for k in order[begins]], dtype=np.int64)
-        amplitude = matrix_of(table, "order_amplitude_nm")
-        seen = np.isfinite(amplitude)
-        columns = {
-            "normal": matrix_of(table, "normal"), "moment": matrix_of(table, "moment"),
-            "scalars": np.stack([column_of(table, name) for name in SCALARS], axis=1),
-            "runs": np.ones((len(code), 1)), "power": np.where(seen, amplitude, 0.0) ** 2,
-            "seen": seen.astype(np.float64),
-        }  # fmt: skip
-        for name, values in columns.items():
-            self.sums[name][at] += np.add.reduceat(values[order], begins, axis=0)
-        start_s = table.column("start").cast(pa.int64()).to_numpy()[order] / US_PER_S
-        self.first[at] = np.minimum(self.first[at], np.minimum.reduceat(start_s, begins))
-        self.last[at] = np.maximum(self.last[at], np.maximum.reduceat(start_s, begins))
-
-    def _place(self, key: str, units: str) -> int:
-        if key not in self.place:
-            self.place[key] = len(self.place)
-            self.units.append(units)
-            if len(self.place) > self.first.size:
-                self._grow(max(64, self.first.size))
-        return self.place[key]
+        begins = edges_of(table, "model", "drive")[:-1]
+        heads = table.select(["model", "drive", "units"]).take(begins)
+        keys = pc.binary_join_element_wise(heads.column("model"), heads.column("drive"), SEPARATOR)
+        at = np.array([self.place.setdefault(key, len(self.place)) for key in keys.to_pylist()], dtype=np.int64)
+        known = len(self.units)
+        new, firsts = np.unique(at, return_index=True)
+        self.units += heads.column("units").take(firsts[new >= known]).to_pylist()
+        if len(self.place) > known:
+            self._grow(len(self.place) - known)
+        scalars = np.stack([column_of(table, name) for name in SCALARS], axis=1)
+        by_row = np.repeat(at, np.diff(begins, append=table.num_rows))
+        _add_rows(
+            by_row, matrix_of(table, "normal"), matrix_of(table, "moment"), scalars,
+            matrix_of(table, "order_amplitude_nm", np.float32), *self.sums.values(),
+        )  # fmt: skip
+        start_s = table.column("start").cast(pa.int64()).to_numpy() / US_PER_S
+        np.minimum.at(self.first, by_row, start_s)
+        np.maximum.at(self.last, by_row, start_s)
 
     def _grow(self, more: int) -> None:
         self.sums = {name: np.pad(values, ((0, more), (0, 0))) for name, values in self.sums.items()}
         self.first = np.pad(self.first, (0, more), constant_values=np.inf)
         self.last = np.pad(self.last, (0, more), constant_values=-np.inf)
+
+
+@njit
+def _add_rows(
+    at: Integers, normal: Floats, moment: Floats, scalars: Floats, amplitude: npt.NDArray[np.float32],
+    sum_normal: Floats, sum_moment: Floats, sum_scalars: Floats, runs: Floats, power: Floats, seen: Floats,
+) -> None:  # fmt: skip
+    """Add rows (n, ...) to sums (d, ...), each to that at its place (n,)."""
+    for n in range(at.size):
+        d = at[n]
+        runs[d, 0] += 1.0
+        for k in range(normal.shape[1]):
+            sum_normal[d, k] += normal[n, k]
+        for k in range(moment.shape[1]):
+            sum_moment[d, k] += moment[n, k]
+        for k in range(scalars.shape[1]):
+            sum_scalars[d, k] += scalars[n, k]
+        for k in range(amplitude.shape[1]):
+            value = np.float64(amplitude[n, k])
+            if value - value == 0.0:  # finite: the order is resolved
+                power[d, k] += value * value
+                seen[d, k] += 1.0
 
 
 def spreads_of(parts: Iterable[pa.Table]) -> list[ModelSpread]:
@@ -199,7 +212,7 @@ def _outside(spread: QuantitySpread, values: Floats, sds: Floats) -> Iterator[tu
         return
     scale = np.hypot(spread.spread, sds)
     distance = np.where(scale > 0.0, (values - spread.median) / np.where(scale > 0.0, scale, 1.0), 0.0)
-    limit = float(stats.t.isf(OUTSIDE_P / (2.0 * spread.drives), MAD_DOF * (spread.drives - 1)))
+    limit = -float(special.stdtrit(MAD_DOF * (spread.drives - 1), OUTSIDE_P / (2.0 * spread.drives)))
     for k in np.flatnonzero(np.abs(distance) > limit):
         yield int(k), float(distance[k])
 

@@ -76,7 +76,7 @@ def population_at(source: str, who: Who) -> Population:
             f"--prior {source}: no record of model {model!r}: {did_you_mean(model, models)}: give --prior-model "
             "NAME, or add runs of such drives"
         )
-    drives = histories(store, model)
+    drives = dict(histories(store, model))
     drives.pop(who.drive, None)  # the drive itself is no part of its prior
     found = population_of(drives, model) if len(drives) >= LEAST_DRIVES else None
     least = LEAST_DRIVES if found is None else len(found.names) + 2  # or no drive shows a direction of the covariance

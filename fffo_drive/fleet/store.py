@@ -116,7 +116,7 @@ class FleetStore:
 
     def index(self) -> pa.Table:
         """What was added, one row a run (`schema.INDEX_SCHEMA`), sorted by run."""
-        return _first_of_each(self._read(lambda: self.place.files(INDEX, PARQUET), INDEX_SCHEMA), INDEX_SCHEMA)
+        return self._read(lambda: self.place.files(INDEX, PARQUET), INDEX_SCHEMA)
 
     def add(self, entries: Sequence[Mapping[str, Any]]) -> int:
         """Put runs on the index; how many are new. Raises OSError."""
@@ -159,23 +159,23 @@ class FleetStore:
         self, listed: Callable[[], dict[str, int]], columns: Sequence[str] | None, where: pc.Expression | None
     ) -> pa.Table:
         wanted = list(RECORD_SCHEMA.names) if columns is None else list(columns)
-        needed = list(dict.fromkeys([*wanted, "run", "schema_version"]))
-        table = self._read(listed, RECORD_SCHEMA, needed, where)
+        table = self._read(listed, RECORD_SCHEMA, [*dict.fromkeys([*wanted, "schema_version"])], where)
         newest = pc.max(table.column("schema_version")).as_py() if table.num_rows else None
         if newest is not None and newest > SCHEMA_VERSION:
             raise DocumentError(
                 f"{self.place.address}: has records of version {newest}, this program reads {SCHEMA_VERSION} and "
                 "older: read it with the fffo-drive that made them, or a later one"
             )
-        return _first_of_each(table, table.schema).select(wanted)
+        return table.select(wanted)
 
-    def recorded(self) -> set[str]:
-        """Runs that have a record of this version."""
+    def recorded(self) -> pa.ChunkedArray:
+        """Runs that have a record of this version; one may be there twice."""
         ending = f"-{SCHEMA_VERSION}{PARQUET}"
         new = [name.rsplit("/", 1)[1] for name in self.place.files(NEW, ending)]  # first, as in parts
         merged = partial(self.place.files, MERGED, PARQUET)
         table = self._read(merged, RECORD_SCHEMA, ["run"], pc.field("schema_version") >= SCHEMA_VERSION)
-        return {name.removesuffix(ending) for name in new} | set(table.column("run").to_pylist())
+        own = pa.array([name.removesuffix(ending) for name in new], pa.string())
+        return pa.chunked_array([own, *table.column("run").chunks])
 
     def _record_files(self) -> dict[str, int]:
         # new ones first: what is merged between the two listings is then seen twice, never missed
@@ -185,19 +185,29 @@ class FleetStore:
         self, listed: Callable[[], dict[str, int]], schema: pa.Schema, columns: Sequence[str] | None = None,
         where: pc.Expression | None = None,
     ) -> pa.Table:  # fmt: skip
-        """Rows of the files that a listing names; listed again where somebody merged them away meanwhile."""
+        """Rows of the files that a listing names, one a run.
+
+        Listed again where somebody merged files away meanwhile.
+        """
+        wanted = list(schema.names if columns is None else columns)
         for last in (*([False] * (RELISTED - 1)), True):
-            names = [self.place.full(name) for name in listed()]
+            names = list(listed())
             if not names:
                 break
+            apart = _hold_different_runs(names)
+            needed = wanted if apart else [*dict.fromkeys([*wanted, "run"])]
+            files = [self.place.full(name) for name in names]
             try:
-                source = ds.dataset(names, schema=schema, format="parquet", filesystem=self.place.filesystem)
-                return source.to_table(columns=None if columns is None else list(columns), filter=where)
+                source = ds.dataset(files, schema=schema, format="parquet", filesystem=self.place.filesystem)
+                # threads wait for a network side by side; what a disk gives, they only slow down: memory that is new
+                # to the process is handed to one of them at a time
+                table = source.to_table(columns=needed, filter=where, use_threads=not self.place.is_local)
             except FileNotFoundError:
                 if last:
                     raise
-        empty = schema.empty_table()
-        return empty if columns is None else empty.select(list(columns))
+            else:
+                return table if apart else _first_of_each(table, table.schema).select(wanted)
+        return schema.empty_table().select(wanted)
 
     # ---- failures
 
@@ -266,18 +276,22 @@ class FleetStore:
 
     def waiting(self) -> list[dict[str, Any]]:
         """Entries of the index that have neither a record nor failed, by run."""
-        done = self.recorded() | {failure.run for failure in self.failures()}
-        return [entry for entry in self.index().to_pylist() if entry["run"] not in done]
+        failed = pa.array([failure.run for failure in self.failures()], pa.string())
+        done = pa.chunked_array([failed, *self.recorded().chunks])
+        index = self.index()
+        entries: list[dict[str, Any]] = index.filter(pc.invert(pc.is_in(index.column("run"), done))).to_pylist()
+        return entries
 
     def status(self) -> StoreStatus:
         """Counts."""
         index = self.index()
         new, merged = self.place.files(NEW, PARQUET), self.place.files(MERGED, PARQUET)
-        known = set(index.column("run").to_pylist())
+        known = index.column("run")
+        failed = pa.array([failure.run for failure in self.failures()], pa.string())
         return StoreStatus(
             runs=index.num_rows,
-            recorded=len(self.recorded() & known),
-            failed=sum(failure.run in known for failure in self.failures()),
+            recorded=pc.sum(pc.is_in(known, self.recorded())).as_py() or 0,
+            failed=pc.sum(pc.is_in(failed, known)).as_py() or 0,
             new_files=len(new),
             merged_files=len(merged),
             record_bytes=sum(new.values()) + sum(merged.values()),
@@ -366,6 +380,12 @@ class FleetStore:
             target = self._put(folder, kept.sort_by(order))
         self.place.delete(name for name in read if name != target)
         return kept.num_rows, whole.num_rows - kept.num_rows
+
+
+def _hold_different_runs(names: Sequence[str]) -> bool:
+    """Whether files have no run in common: a merged one of each month at most, or one alone."""
+    folders = {name.rsplit("/", 1)[0] for name in names}
+    return (len(folders) == len(names) and NEW not in folders) or len(names) == 1
 
 
 def _first_of_each(table: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy  # its modules load where they are first used
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -162,7 +162,7 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
     statistic = count * float(
         mean / scale @ np.linalg.pinv(spread / np.outer(scale, scale), rcond=1e-10) @ (mean / scale)
     )
-    tail = float(stats.f.sf(statistic * (count - rank) / (rank * (count - 1)), rank, count - rank))
+    tail = float(scipy.stats.f.sf(statistic * (count - rank) / (rank * (count - 1)), rank, count - rank))
     return min(1.0, max(SMALLEST_P, tail * tried))
 
 
@@ -191,7 +191,7 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: fl
     statistic = float(size / scale @ np.linalg.pinv(spread, rcond=1e-10) @ (size / scale))
     ratio, freedom = statistic * (windows - rank) / (rank * windows), windows - rank
     if negligible > 0.0:
-        tail = float(stats.ncf.sf(ratio, rank, freedom, negligible * statistic))
+        tail = float(scipy.stats.ncf.sf(ratio, rank, freedom, negligible * statistic))
     else:
-        tail = float(stats.f.sf(ratio, rank, freedom))
+        tail = float(scipy.stats.f.sf(ratio, rank, freedom))
     return min(1.0, max(SMALLEST_P, tail))

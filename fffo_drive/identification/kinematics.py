@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+import scipy  # its modules load where they are first used
 
 from .dataset import Record
 
@@ -33,9 +33,9 @@ def low_pass(values: Floats, cutoff_hz: float, period_s: float, order: int = FIL
     """Zero-phase Butterworth filter of `order` in all, half of it each way; a cut-off beyond 0.45 of the rate: none."""
     if cutoff_hz * period_s >= 0.45:
         return values
-    sections = signal.butter(max(1, order // 2), cutoff_hz, fs=1.0 / period_s, output="sos")
+    sections = scipy.signal.butter(max(1, order // 2), cutoff_hz, fs=1.0 / period_s, output="sos")
     padding = min(values.size - 1, round(3.0 / (cutoff_hz * period_s)))
-    return np.asarray(signal.sosfiltfilt(sections, values, padlen=padding))
+    return np.asarray(scipy.signal.sosfiltfilt(sections, values, padlen=padding))
 
 
 def central_difference(values: Floats, period_s: float) -> Floats:
@@ -79,9 +79,7 @@ def sure_direction(motion: Kinematics) -> Floats:
     sure = np.flatnonzero(direction)
     if not sure.size:
         return direction
-    return np.asarray(
-        direction[sure[np.maximum(0, np.searchsorted(sure, np.arange(direction.size), side="right") - 1)]]
-    )
+    return _held(direction[sure], np.concatenate([[0], sure[1:]]), direction.size)
 
 
 def travel_since_reversal_rev(motion: Kinematics) -> Floats:
@@ -92,8 +90,12 @@ def travel_since_reversal_rev(motion: Kinematics) -> Floats:
     turned = np.flatnonzero(np.diff(held) != 0.0) + 1
     starts = np.concatenate([[0], turned])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
-    index = np.searchsorted(starts, np.arange(held.size), side="right") - 1
-    return np.asarray(path - path[starts[index]])
+    return path - _held(path[starts], starts, held.size)
+
+
+def _held(values: Floats, starts: npt.NDArray[np.int64], count: int) -> Floats:
+    """Each value from its start, the first of which is 0, to the next one. (count,)"""
+    return np.repeat(values, np.diff(starts, append=count))
 
 
 def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float) -> Mask:

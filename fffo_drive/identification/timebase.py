@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import interpolate, signal
+import scipy  # its modules load where they are first used: together they take a second
 
 from ..recording.table import GAP_PERIODS
 
@@ -50,7 +50,8 @@ def typical_period_s(time_s: Floats) -> float:
     """
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
-    if float(np.median(np.abs(_off_grid((time_s - time_s[0]) / median_s)))) <= ON_GRID:
+    stamps = (time_s - time_s[0]) / median_s
+    if float(np.median(np.abs(_off_grid(stamps, _phase(stamps))))) <= ON_GRID:
         return median_s
     usual = steps[(steps > median_s / GAP_PERIODS) & (steps < GAP_PERIODS * median_s)]
     return float(usual.mean()) if usual.size else median_s
@@ -68,12 +69,13 @@ def on_even_grid(time_s: Floats, columns: Mapping[str, Floats], known: Mask | No
     for begin, end in itertools.pairwise(edges):
         stamps = (time_s[begin:end] - time_s[begin]) / period_s
         values = {name: column[begin:end] for name, column in columns.items()}
-        part, good = _even_part(stamps, values, None if known is None else known[begin:end])
+        phase = _phase(stamps)
+        part, good = _even_part(stamps, phase, values, None if known is None else known[begin:end])
         if parts:
             breaks.append((breaks[-1] if breaks else 0) + goods[-1].size)
         parts.append(part)
         goods.append(good)
-        far.append(_off_grid(stamps))
+        far.append(_off_grid(stamps, phase))
     distance = np.concatenate(far)
     uneven = bool((np.abs(distance) > ON_GRID).any())
     good = np.concatenate(goods)
@@ -87,9 +89,8 @@ def on_even_grid(time_s: Floats, columns: Mapping[str, Floats], known: Mask | No
     )
 
 
-def _off_grid(stamps: Floats) -> Floats:
-    """Distance of stamps (n,) in periods from the uniform grid that lies best among them."""
-    phase = _phase(stamps)
+def _off_grid(stamps: Floats, phase: float) -> Floats:
+    """Distance of stamps (n,) in periods from the uniform grid at this phase."""
     return np.asarray(stamps - phase - np.round(stamps - phase))
 
 
@@ -98,10 +99,11 @@ def _phase(stamps: Floats) -> float:
     return float(np.angle(np.mean(np.exp(2j * np.pi * stamps))) / (2.0 * np.pi))
 
 
-def _even_part(stamps: Floats, columns: Mapping[str, Floats], known: Mask | None) -> tuple[dict[str, Floats], Mask]:
-    """One stretch without a long gap; `stamps` in periods from its first one."""
+def _even_part(
+    stamps: Floats, phase: float, columns: Mapping[str, Floats], known: Mask | None
+) -> tuple[dict[str, Floats], Mask]:
+    """One stretch without a long gap; `stamps` in periods from its first one, around a grid at this phase."""
     sure = np.ones(stamps.size, dtype=np.bool_) if known is None else known
-    phase = _phase(stamps)
     first = phase if phase >= -ON_GRID else phase + 1.0
     count = int(np.floor(float(stamps[-1]) + ON_GRID - first)) + 1
     grid = first + np.arange(max(count, 1), dtype=np.float64)
@@ -116,7 +118,7 @@ def _even_part(stamps: Floats, columns: Mapping[str, Floats], known: Mask | None
         if name == COMMAND:
             between = held_mean(stamps, values, grid, 1.0)
         elif name in POSITIONS and stamps.size > 1:
-            between = interpolate.PchipInterpolator(stamps, values)(np.clip(grid, 0.0, stamps[-1]))
+            between = scipy.interpolate.PchipInterpolator(stamps, values)(np.clip(grid, 0.0, stamps[-1]))
         else:
             between = np.interp(grid, stamps, values)
         found[name] = np.where(own, values[near], between)
@@ -139,15 +141,15 @@ def at_lower_rate(columns: Mapping[str, Floats], good: Mask | None, ratio: float
     size = next(iter(columns.values())).size
     old = np.arange(size, dtype=np.float64)
     new = np.arange(0.0, size - ratio + 1e-9, ratio)
-    sections = signal.butter(ANTI_ALIAS_ORDER // 2, min(0.9, 2.0 * ANTI_ALIAS / ratio), output="sos")
+    sections = scipy.signal.butter(ANTI_ALIAS_ORDER // 2, min(0.9, 2.0 * ANTI_ALIAS / ratio), output="sos")
     found: dict[str, Floats] = {}
     for name, values in columns.items():
         if name == COMMAND:
             found[name] = held_mean(old, values, new, ratio)
             continue
         padding = min(size - 1, round(6.0 * ratio))
-        smooth = signal.sosfiltfilt(sections, values - values[0], padlen=padding) + values[0]
-        found[name] = interpolate.CubicSpline(old, smooth)(new)
+        smooth = scipy.signal.sosfiltfilt(sections, values - values[0], padlen=padding) + values[0]
+        found[name] = scipy.interpolate.CubicSpline(old, smooth)(new)
     sure = np.ones(size) if good is None else good.astype(np.float64)
     half = round(0.5 * ratio)
     reach = (np.arange(-half, half + 1)[:, None] + np.round(new).astype(np.int64)).clip(0, size - 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +58,31 @@ class Attachment(NamedTuple):
     data: bytes
 
 
+class _Columns(Mapping[str, Array]):
+    """Columns of a run, each copied out of the rows when it is first asked for: few of them are needed at once."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._copied: dict[str, Array | None] = dict.fromkeys([*(run.rows.dtype.names or ()), "time_s"])
+
+    def __getitem__(self, name: str) -> Array:
+        found = self._copied[name]
+        if found is None:
+            rows = self._run.rows
+            found = np.ascontiguousarray(rows[name]) if name in (rows.dtype.names or ()) else self._run.time_s
+            self._copied[name] = found
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._copied
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._copied)
+
+    def __len__(self) -> int:
+        return len(self._copied)
+
+
 @dataclass(frozen=True)
 class Run:
     """A recording in memory; of a torn one (`complete` False, `reason` says why) the whole chunks."""
@@ -76,11 +101,9 @@ class Run:
     reason: str
 
     @cached_property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> Mapping[str, Array]:
         """Every field of the row as a contiguous array, and `time_s`, seconds since the first row."""
-        columns = {name: np.ascontiguousarray(self.rows[name]) for name in self.rows.dtype.names or ()}
-        columns.setdefault("time_s", self.time_s)
-        return columns
+        return _Columns(self)
 
     @property
     def time_s(self) -> Array:

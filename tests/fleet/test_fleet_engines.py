@@ -134,14 +134,14 @@ def test_a_worker_that_is_killed_loses_one_unit_which_is_made_again(six_runs, me
     killed = []
 
     def kill(_share):
-        if len(killed) < 3:
+        if len(killed) < MOST_TRIES - 1:  # it may be the same unit each time, and one more would end its tries
             # one that was killed just now may still be listed
             victim = next(one for one in multiprocessing.active_children() if one.pid not in killed)
             os.kill(victim.pid, signal.SIGKILL)
             killed.append(victim.pid)
 
     work(store.place.address, store.waiting(), workers=2, progress=kill)
-    assert len(set(killed)) == 3
+    assert len(set(killed)) == MOST_TRIES - 1
     assert merged(store) == merged_bytes
 
 

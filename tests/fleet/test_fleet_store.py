@@ -17,7 +17,7 @@ from fleet.fleet_rig import files_of
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet.backlash import GAP_UPPER
 from fffo_drive.fleet.compare import side_of_store
-from fffo_drive.fleet.history import balance_of_rows, histories, history, matrix_of, model_records
+from fffo_drive.fleet.history import balance_of_rows, estimates_of, histories, history, matrix_of, model_records
 from fffo_drive.fleet.place import StorePlace
 from fffo_drive.fleet.regress import PARAMETERS, UPPER
 from fffo_drive.fleet.schema import HIGHEST_ORDER, RECORD_SCHEMA, SCHEMA_VERSION, file_bytes, table_of
@@ -207,7 +207,7 @@ def test_records_of_an_older_version_are_read_and_the_newest_of_a_run_counts(sto
     store.place.write(f"records/new/{1:064x}-0.parquet", file_bytes(old, small=True))
     assert store.records(["rms_nm"]).column("rms_nm").to_pylist() == [0.2]
     assert np.isnan(history(store, "d1").temperature_degc).all()
-    assert store.recorded() == set()  # of this version there is none: work makes it
+    assert store.recorded().to_pylist() == []  # of this version there is none: work makes it
     store.write_record(row(1))
     assert store.records(["rms_nm"]).column("rms_nm").to_pylist() == [0.1]
     store.compact()
@@ -300,6 +300,22 @@ def test_records_that_are_read_once_become_the_same_histories_piece_by_piece(sto
         for drive, found in piece.items():
             assert found.run.tolist() == whole[drive].run.tolist()
             assert np.array_equal(found.theta, whole[drive].theta)
+
+
+def test_a_run_in_two_merged_files_of_a_month_is_one_record(store):
+    for number in range(3):
+        store.write_record(row(number))
+    store.compact()
+    store.place.write("records/merged/2026-01/other.parquet", file_bytes(table_of([row(1), row(3)])))
+    assert sorted(store.records(["run"]).column("run").to_pylist()) == [f"{number:064x}" for number in range(4)]
+
+
+def test_records_are_solved_in_batches_as_all_at_once(monkeypatch):
+    table = table_of([row(number) for number in range(5)])
+    whole = estimates_of(table)
+    monkeypatch.setattr("fffo_drive.fleet.history.ROWS_AT_ONCE", 2)
+    for found, expected in zip(estimates_of(table), whole, strict=True):
+        assert np.array_equal(found, expected)
 
 
 def test_records_are_added_by_adding_their_columns(store):

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from fffo_drive.fleet import watch as watch_module
-from fffo_drive.fleet.channels import marginal
+from fffo_drive.fleet.channels import FleetPrior, _references, marginal
 from fffo_drive.fleet.detector import CLIP, SECOND_MOMENT, SLOPES, ChannelPrior, Detections, detect, log_norms
 from fffo_drive.fleet.history import RunHistory
 from fffo_drive.fleet.matrices import inverse_total
@@ -298,3 +298,37 @@ def test_a_drive_with_few_runs_says_so_and_drives_with_other_columns_are_refused
     assert any(doubt.drive == "new" and "5 runs" in doubt.text for doubt in found.doubts)
     with pytest.raises(ValueError, match="drive b"):
         watch({"a": drawn(1), "b": drawn(2)._replace(names=PARAMETERS[::-1])}, 0.01)
+
+
+@pytest.mark.parametrize("warm", [0.0, 1.0])
+def test_the_level_of_a_drive_is_the_least_squares_of_its_runs_so_far(warm: float) -> None:
+    """Drives beside each other, and of different lengths, as each alone by plain matrices."""
+    rng = np.random.default_rng(3)
+    lengths, p = (20, 5, 16), 3
+    own = np.repeat(np.arange(3), lengths)
+    place = np.concatenate([np.arange(n) for n in lengths])
+    theta, steps = 1.0 + 0.1 * rng.standard_normal((own.size, p)), warm * rng.standard_normal(own.size)
+    half = rng.standard_normal((own.size, p, 5))
+    inverse = half @ half.transpose(0, 2, 1)
+    slope, slope_sd = np.full(p, 0.1), np.full(p, 0.5)
+    prior = FleetPrior((), np.eye(p), np.eye(p), slope, slope_sd, slope, np.eye(p), ())
+    levels, slopes = _references(theta, steps, inverse, own, place, 3, prior)
+    for drive, count in enumerate(lengths):
+        weights = np.ones(count)
+        mine = np.flatnonzero(own == drive)
+        for block in range(levels.shape[0]):
+            part = slice(8 * block, 8 * block + 8)
+            runs = mine[part]
+            if block:
+                away = theta[runs] - levels[block - 1, drive] - steps[runs, None] * slopes[block - 1, drive]
+                weights[part] = np.minimum(1.0, 2.0 * p / np.einsum("ni,nij,nj->n", away, inverse[runs], away))
+            normal = np.diag(np.concatenate([np.full(p, 1e-6), slope_sd**-2]))
+            right = np.concatenate([np.zeros(p), slope / slope_sd**2])
+            for n, weight in zip(mine[: 8 * block + 8], weights, strict=False):
+                design = np.kron([[1.0, steps[n]]], np.eye(p)).T
+                normal += weight * design @ inverse[n] @ design.T
+                right += weight * design @ inverse[n] @ theta[n]
+            expected = np.linalg.solve(normal, right)
+            assert levels[block, drive] == pytest.approx(expected[:p], rel=1e-9)
+            if warm:
+                assert slopes[block, drive] == pytest.approx(expected[p:], rel=1e-9)
