@@ -340,6 +340,7 @@ class Selector:
         order = [k for k in ranked(range(len(picked)), key=lambda k: -gains[k].value) if gains[k].holds]
         found = [Contender(picked[k], losses[k]) for k in order]
         laws = [one for one in found if not one.proposal.name.startswith(UNKNOWN)]
+        laws.sort(key=lambda one: one.proposal.score.p * tried > self.rate)  # those beyond chance already come first
         return laws[:REFITTED], [one for one in found if one.proposal.name.startswith(UNKNOWN)]
 
     def _believed(

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from .backlash import GAP_REV, GAP_UPPER
 from .regress import PARAMETERS, UPPER
 
-SCHEMA_VERSION = 2  # rises when records are to be made anew: 2 has the gap. Older ones are read, with nulls
+SCHEMA_VERSION = 3  # rises when records are to be made anew: 3 has the gap of a damped flank. Older ones are read
 FORMAT_KEY = b"fffo_drive_fleet"  # of the files' metadata
 HIGHEST_ORDER = 100  # whole orders of the motor angle
 ORDERS = np.arange(1.0, HIGHEST_ORDER + 1.0)
