@@ -175,7 +175,7 @@ class Search:
 
     def __init__(self, facts: DriveFacts, without: frozenset[str], ablate: frozenset[str]) -> None:
         self.facts, self.without, self.ablate = facts, without, ablate
-        self.tried = 0  # candidates of the last round
+        self.tried = 0  # candidates so far, over all rounds
         self._kept: dict[tuple[str | float, ...], Columns] = {}
 
     def proposals(self, data: Data, fitted: Fitted, evidence: Evidence, rung: int) -> list[Proposal]:
@@ -201,7 +201,7 @@ class Search:
         for found in itertools.chain.from_iterable(scored):
             if found.score.rank and (found.kind not in best or found.worth > best[found.kind].worth):
                 best[found.kind] = found
-        self.tried = len(work)
+        self.tried += len(work)
         return [more for found in best.values() for more in self._with_datum(data, evidence, found)]
 
     def _shapes(self, context: SearchContext, rung: int) -> Iterator[tuple[str, Shape]]:
@@ -268,7 +268,7 @@ class Search:
             return None if fine is None else self._of_curve(data, evidence, fine)
 
         found = filter(None, in_threads(proposed, best))
-        self.tried = len(pairs)
+        self.tried += len(pairs)
         return [one for one in found if one.score.rank]
 
     def _wanted(self, curve: Curve) -> bool:

@@ -321,8 +321,8 @@ class Selector:
     ) -> tuple[list[Contender], list[Contender]]:
         """Laws, and free curves beyond chance, the largest linear gain first.
 
-        A curve is linear: a refit does not change its p-value. A law whose shapes are refitted may be far from its best
-        shape and beside a base that is biased without it, so that chance is ruled out only after the refit.
+        A curve is linear: a refit does not change its p-value. A law may be far from its best shape and beside a base
+        that is biased without it: where its p-value does not rule out chance, that of the refit may.
         """
         taken = {e.name for e in scored.fitted.effects}
         able = [
@@ -346,7 +346,7 @@ class Selector:
     def _believed(
         self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, ScoredFit, Gain]]:
-        """Contenders that, refitted with everything, are beyond chance, have enough gain and no objection."""
+        """Contenders beyond chance, at the latest when refitted with everything, with enough gain and no objection."""
         both = "two_starts" not in self.ablate
 
         def refit(one: Contender) -> ScoredFit:
@@ -358,7 +358,9 @@ class Selector:
         for (one, _), result in zip(contenders, fits, strict=True):
             own = gain(scored.unseen, result.unseen, evidence.folds)
             share = share_gone(scored.fitted, result.fitted)
-            p = self._chance(data, result, len(result.fitted.effects) - 1, tried, one.score.p)
+            p = one.score.p * tried
+            if p > self.rate:
+                p = self._chance(data, result, len(result.fitted.effects) - 1, tried, p)
             if not own.holds or share < LEAST_SHARE or p > self.rate:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
