@@ -365,9 +365,9 @@ class Selector:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
             if reason:
-                self.refused.setdefault(one.name, Refused(one.name, reason, share, one.score.p * tried))
+                self.refused.setdefault(one.name, Refused(one.name, reason, share, min(1.0, p)))
                 continue
-            found.append((one, result, own))
+            found.append((one._replace(score=one.score._replace(p=p / tried)), result, own))
         return found
 
     def _evidence(self, data: Data, fitted: Fitted, known: Floats) -> Evidence:

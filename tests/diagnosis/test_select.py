@@ -323,7 +323,9 @@ def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(mo
         return [one._replace(score=one.score._replace(p=1.0)) for one in found]
 
     monkeypatch.setattr(Search, "proposals", poor)
-    assert names(selector("cogging").run(data_with("wave"))) == ["cogging"]
+    selection = selector("cogging").run(data_with("wave"))
+    assert names(selection) == ["cogging"]
+    assert selection.accepted[0].p < 0.01  # that of the refit
     assert names(selector("torque_offset", ablate=()).run(data_with("wave"))) == []
     monkeypatch.setattr(select.Selector, "_chance", lambda self, data, scored, number, tried, otherwise: 1.0)
     assert names(selector("cogging").run(data_with("wave"))) == []

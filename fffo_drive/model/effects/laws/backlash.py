@@ -11,7 +11,7 @@ from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometr
 from ..slots import Floats
 
 FINEST = 0.25  # of a radian of the contact's resonance in a sub-step
-FLANK_DAMPING = 2.0  # damping over mass and resonance, 1/rad: critical
+FLANK_DAMPING = 2.0  # twice the damping ratio: critical
 # The load's motion is not measured. Behind a stiff, lightly damped flank it bounces along the measured motion at other
 # instants than in the machine, and each bounce counts twice. A critically damped flank near the filter's cut-off stays
 # in step, whatever the machine's own: it explains 46 to 58 % of the residual of six drives of 166 to 344 Hz (7092 to
@@ -107,7 +107,15 @@ LAW = Law(
             logarithmic=True,
         ),
         Parameter(
-            "contact_hz", "Hz", SHAPE, 1.0, 10000.0, CONTACT_HZ, "resonance of the flanks", logarithmic=True, held=True
+            "contact_hz",
+            "Hz",
+            SHAPE,
+            1.0,
+            10000.0,
+            CONTACT_HZ,
+            "resonance of the closed joint",
+            logarithmic=True,
+            held=True,
         ),
     ),
     search=_search,
