@@ -119,11 +119,17 @@ def implausibility(data: Data, fitted: Fitted, reference: ReferenceAxis | None, 
 
 
 def shrinking(data: Data, fitted: Fitted, reference: ReferenceAxis | None) -> str:
-    """How a model lowers its error by changing the axis of the first rungs; empty where it does not."""
+    """How a model lowers its error by changing the axis of the first rungs; empty where it does not.
+
+    A rigid axis fitted to a motor and a share of the inertia behind a joint has an inertia between that of the motor,
+    above the resonance, and that of both.
+    """
     if reference is None:
         return ""
     ratio = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")]) / reference.inertia_nm_s2_per_rev
-    if reference.inertia_is_determined and abs(np.log(ratio)) > np.log(INERTIA_FACTOR):
+    behind = max([0.0, *(one.values(0)["share"] for one in fitted.effects if law_of(one.name).joint)])
+    within = 1.0 / INERTIA_FACTOR < ratio < INERTIA_FACTOR / (1.0 - behind)
+    if reference.inertia_is_determined and not within:
         return f"it lowers the error by changing the axis: the inertia would be {ratio:.2g} times as large"
     needed = needed_rms_nm(data, fitted) / reference.needed_nm
     if needed < NEEDED_SHARE:

@@ -123,6 +123,7 @@ class Finding:
     law_picture: Picture | None = None  # the figure that its law declares (`Law.figure`)
     gain: tuple[float, float] | None = None  # nats on rows outside the fit, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
+    strength_variation: float = 0.0  # coefficient of variation of its strength over the blocks of the fit runs
     regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where there is too little of that
     regime_after: ErrorFigures | None = None
     doubt: str = ""  # why it may not be what its name says; empty: nothing contradicts it
@@ -377,6 +378,7 @@ def _effect(finding: Finding, linear: bool) -> dict[str, Any]:
         "symbols": {n.name: name_on(n.name, n.unit, linear) for n in finding.parameters if curve is None},
         "gain": finding.gain,
         "held_out_gain": finding.held_out_gain,
+        "strength_variation": finding.strength_variation,
         "rivals": [vars(rival) for rival in finding.rivals],
         "before": {"held_out_regime": figures_json(finding.regime_before)},
         "after": {"held_out_regime": figures_json(finding.regime_after)},

@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import Folds, Gain, clipped, gain, huber, robust_residual, unseen_loss
+from ..identification.criterion import (
+    Folds,
+    Gain,
+    clipped,
+    gain,
+    huber,
+    robust_residual,
+    strength_variation,
+    unseen_loss,
+)
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS
 from ..identification.ranking import ranked
@@ -85,6 +94,7 @@ class Accepted:
     family: tuple[str, ...]  # effects that the data cannot distinguish from it
     rivals: tuple[tuple[str, float], ...]  # refitted in its place, with their gains
     tried: int
+    variation: float = 0.0  # coefficient of variation of its strength over the blocks, in the final model
 
 
 class Refused(NamedTuple):
@@ -156,7 +166,10 @@ class Selector:
         plain = base_of(data)
         assert self.ladder is not None
         kept = {note.name for note in accepted}  # an effect found beside another cannot replace it
-        accepted = [replace(one, family=tuple(n for n in one.family if n not in kept)) for one in accepted]
+        accepted = [
+            replace(one, family=tuple(n for n in one.family if n not in kept), variation=_variation(data, scored, k))
+            for k, one in enumerate(accepted)
+        ]
         return Selection(
             data, plain, scored.fitted, scored.matrix, tuple(accepted), tuple(self.refused.values()),
             self.first, self.first_p, self.ladder, self.inertia_ratios, self._negligible_nm,
@@ -411,14 +424,8 @@ class Selector:
         return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
 
     def _judged(self, data: Data, scored: ScoredFit, number: int, note: Accepted, refit: bool) -> Accepted:
-        """Gain, share and p-value of one effect given all others.
-
-        Effects of the first rungs are compared with laws only: a free curve also contains a constant.
-        """
-        effects = scored.fitted.effects
-        aside = [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
-        if law_of(effects[number].name).rung > WAVE_RUNG:
-            aside = []
+        """Gain, share and p-value of one effect given all others."""
+        aside = _set_aside(scored, number)
         beside = without(data, scored, aside, refit)
         alone = without(data, scored, [*aside, number], refit)
         place = number - sum(k < number for k in aside)
@@ -430,10 +437,10 @@ class Selector:
     def _chance(self, data: Data, scored: ScoredFit, number: int, tried: int, otherwise: float) -> float:
         """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
         own = columns_of(data, scored, number)
-        scenes = consistent_scenes(data, scored.fitted.physical, scored.fitted.effects)
-        load = data.white(load_rows(data.rows, scenes, scored.fitted.effects[number]))
         others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
-        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load)
+        found = score(
+            self._evidence(data, scored.fitted, others), scored.matrix[:, own], load_of(data, scored, number)
+        )
         return min(1.0, found.p * tried) if found.rank else otherwise
 
 
@@ -518,6 +525,28 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
         return found
     again = fit(data, data.start, [*fitted.effects, one.effect], ITERATIONS)
     return again if again.loss < found.loss else found
+
+
+def load_of(data: Data, scored: ScoredFit, number: int) -> Floats:
+    """White torque of one effect. (q,)"""
+    scenes = consistent_scenes(data, scored.fitted.physical, scored.fitted.effects)
+    return data.white(load_rows(data.rows, scenes, scored.fitted.effects[number]))
+
+
+def _set_aside(scored: ScoredFit, number: int) -> list[int]:
+    """Effects that one effect is not judged beside: free curves for one of the first rungs, as they hold a constant."""
+    effects = scored.fitted.effects
+    if law_of(effects[number].name).rung > WAVE_RUNG:
+        return []
+    return [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
+
+
+def _variation(data: Data, scored: ScoredFit, number: int) -> float:
+    """Coefficient of variation of an effect's strength over the blocks."""
+    left_out = [columns_of(data, scored, k) for k in (number, *_set_aside(scored, number))]
+    beside = np.delete(scored.matrix, np.concatenate([np.r_[part] for part in left_out]), axis=1)
+    load = load_of(data, scored, number)
+    return strength_variation(load, beside, scored.fitted.white, data.folds)
 
 
 def starting_effect(name: str, facts: DriveFacts) -> Effect:

@@ -195,3 +195,28 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: fl
     else:
         tail = float(scipy.stats.f.sf(ratio, rank, freedom))
     return min(1.0, max(SMALLEST_P, tail))
+
+
+def strength_variation(torque: Floats, beside: Floats, residual: Floats, folds: Folds) -> float:
+    """Coefficient of variation of an effect's strength over the blocks, beyond noise.
+
+    `torque` (m,): the effect's torque; `beside` (m, p): the sensitivities of everything else that is fitted; `residual`
+    (m,): of the whole model; all whitened. Each block gets a strength of its own, relative to the fitted one, weighted
+    by its share of the squared torque that is orthogonal to `beside` (a random coefficient: Swamy, 1970). A law of the
+    machine has one strength everywhere; a substitute for another law does not. The noise comes from the windows of each
+    block.
+    """
+    norms = np.sqrt(np.einsum("ij,ij->j", beside, beside))
+    scaled = beside / np.where(norms > 0.0, norms, 1.0)
+    own = torque - scaled @ np.linalg.solve(scaled.T @ scaled + RIDGE * np.eye(norms.size), scaled.T @ torque)
+    energy = np.bincount(folds.block, own**2)
+    change = np.bincount(folds.block, own * clipped(residual)) / np.maximum(energy, 1e-300)
+    scores = np.bincount(folds.window, own * (residual - change[folds.block] * own))
+    block_of_window = np.zeros(scores.size, np.int64)
+    block_of_window[folds.window] = folds.block
+    windows = np.bincount(block_of_window[np.unique(folds.window)], minlength=energy.size)
+    used = (energy > 0.0) & (windows > 1)
+    noise = np.bincount(block_of_window, scores**2, energy.size)[used] / energy[used] ** 2
+    noise *= windows[used] / (windows[used] - 1.0)  # they lost one degree of freedom to the strength of their block
+    share = energy[used] / energy[used].sum()
+    return float(np.sqrt(max(0.0, share @ (change[used] - share @ change[used]) ** 2 - share @ noise)))

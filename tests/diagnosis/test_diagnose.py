@@ -123,7 +123,7 @@ def test_the_report_is_json_with_all_its_keys():
         "name", "alternatives", "axis", "parameters", "explained_fraction", "false_alarm_probability", "accepted",
         "reason", "regime", "experiment", "compensable", "strength_percent", "sd", "units", "gain", "held_out_gain",
         "rivals", "before", "after", "symbols", "torque_rms_nm", "plain_name", "cause", "remedy", "place", "confidence",
-        "doubt",
+        "doubt", "strength_variation",
     }  # fmt: skip
     assert set(content["before"]["held_out"]) == {
         "torque_rms_nm", "torque_relative_percent", "velocity_rms_rps", "interval_95", "seconds",
@@ -234,6 +234,7 @@ def test_a_law_that_fits_half_of_the_time_leaves_a_residual_that_depends_on_time
     assert page.unexplained_rest.sentence in page.headline
     (offset,) = report(page)["effects"]
     assert offset["confidence"] == "cannot tell"
+    assert 0.8 < offset["strength_variation"] < 1.1  # none in one half, twice its mean in the other
     assert not any(f.doubt for f in found().findings)
 
 
@@ -269,22 +270,12 @@ def test_what_a_finding_in_doubt_explains_has_no_named_cause_either():
     assert doubts({**first, "explained_fraction": 0.71}, second, rest=rest)[0] == ""
 
 
-def test_a_law_that_leaves_a_residual_on_its_own_axis_is_in_doubt_and_a_level_or_a_curve_is_not():
-
-    def of(name, axis, left, share=0.9):
-        finding = {"name": name, "axis": axis, "explained_fraction": share, "held_out_gain": (9.0, 1.0)}
-        return doubts(finding, rest=left)[0]
-
-    assert "depends on the velocity as well" in of("quadratic_drag", "velocity", REST)
-    assert of("quadratic_drag", "velocity", None) == ""
-    assert of("quadratic_drag", "velocity", REST._replace(axes=("time",))) == ""
-    assert of("unknown:velocity", "velocity", REST) == ""
-    assert "depends on the motor angle as well" in of("cogging", "motor_angle", REST._replace(axes=("motor_angle",)))
-    assert of("torque_offset", "torque", REST._replace(axes=("torque",))) == ""
-    # half of what is left depends on the angle: a law that removes ten times what is left, 10 / 11, is clear of it
-    half = REST._replace(rms_nm=1.0, floor_nm=0.5**0.5, axes=("motor_angle",))
-    assert of("cogging", "motor_angle", half, 0.90) != ""
-    assert of("cogging", "motor_angle", half, 0.91) == ""
+def test_what_varies_from_place_to_place_is_in_doubt_by_law_or_curve():
+    for name in ("quadratic_drag", "torque_offset", "unknown:velocity"):
+        finding = {"name": name, "explained_fraction": 0.9, "held_out_gain": (9.0, 1.0)}
+        assert doubts({**finding, "strength_variation": 0.49}) == [""]
+        (why,) = doubts({**finding, "strength_variation": 0.51})
+        assert "its strength varies by 51 %" in why
 
 
 def test_what_the_held_out_runs_excite_and_do_not_confirm_is_in_doubt():

@@ -124,6 +124,15 @@ def test_an_effect_that_buys_its_error_with_another_inertia_is_refused(factor):
     assert factor < 0.5 or "changing the axis" not in judged(wave, near)
 
 
+def test_a_rigid_axis_may_have_seen_the_inertia_of_the_motor_alone():
+    """Behind a joint with half of the inertia the first rungs see between J / 2 and J."""
+    _, fitted, _ = axis()
+    spring = effect("elasticity", {"share": 0.5}, frequency_hz=40.0, damping=0.05)
+    for factor, words in ((0.6, "changing the axis"), (1.6, ""), (2.9, ""), (3.1, "changing the axis")):
+        refusal = judged(spring, moved(fitted.physical, "inertia_nm_s2_per_rev", float(np.log(factor))))
+        assert (words in refusal) if words else refusal == ""
+
+
 def test_an_inertia_that_the_data_do_not_determine_is_no_reference():
     data, fitted, reference = axis()
     assert reference.inertia_sd < DETERMINED_SD

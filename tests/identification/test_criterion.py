@@ -19,6 +19,7 @@ from fffo_drive.identification.criterion import (
     huber,
     levels,
     sandwich_p,
+    strength_variation,
     unseen_loss,
 )
 
@@ -255,3 +256,25 @@ def test_too_few_windows_prove_nothing():
     assert hotelling_p(scores) == 1.0
     assert hotelling_p(np.zeros((40, 2))) == 1.0
     assert hotelling_p(5.0 + draw.normal(size=(16, 10))) < 1.0
+
+
+@pytest.mark.parametrize("varies", [0.0, 0.3, 1.0])
+def test_the_strength_of_a_law_of_the_machine_does_not_vary_over_the_blocks(varies):
+    """Residual of an effect fitted with its mean strength, true strengths of the blocks 1 - varies and 1 + varies."""
+    rng = np.random.default_rng(1)
+    folds = folds_of([(0, 40_000)], 0.01)
+    beside = rng.standard_normal((40_000, 3)) * [1.0, 1e6, 1e-6]
+    own = 0.5 * rng.standard_normal(40_000)
+    own -= beside @ np.linalg.lstsq(beside, own, rcond=None)[0]
+    torque = own + beside @ [3.0, 2e-6, 1e6]  # the part that the others could take has no say, in any unit
+    own_strength = np.where(folds.block % 2 == 0, 1.0 - varies, 1.0 + varies)
+    residual = (own_strength - 1.0) * own + 0.2 * rng.standard_normal(40_000)
+    assert strength_variation(torque, beside, residual, folds) == pytest.approx(varies, abs=0.03)
+
+
+def test_a_weak_effect_does_not_vary_because_of_noise():
+    rng = np.random.default_rng(2)
+    folds = folds_of([(0, 40_000)], 0.01)
+    torque = 0.05 * rng.standard_normal(40_000)  # in each block its strength is determined to 1.4
+    found = [strength_variation(torque, np.ones((40_000, 1)), rng.standard_normal(40_000), folds) for _ in range(20)]
+    assert np.median(found) < 0.5
