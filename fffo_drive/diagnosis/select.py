@@ -438,9 +438,7 @@ class Selector:
         """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
         own = columns_of(data, scored, number)
         others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
-        found = score(
-            self._evidence(data, scored.fitted, others), scored.matrix[:, own], load_of(data, scored, number)
-        )
+        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load_of(data, scored, number))
         return min(1.0, found.p * tried) if found.rank else otherwise
 
 
