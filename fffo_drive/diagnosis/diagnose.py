@@ -227,8 +227,8 @@ def judged(findings: Sequence[Finding], rest: Rest | None) -> list[Finding]:
     Neither the rest nor a free curve nor a finding in doubt names a cause: a law stands out from all of these together.
     CLEAR was chosen on 31 drives whose kind was left out of the search (5000 to 5030) and 58 others (5300 to 5317, 6000
     to 6039), that findings in doubt count on 31 further left-out drives (5040 to 5070), LARGEST_VARIATION on 40 (5070
-    to 5109) and 24 others (6100 to 6139): true names vary by 22 % at most, wrong ones that stand out by 45 % and more
-    or not at all. Fresh drives: results/blind_left_out.md.
+    to 5109) and 24 others (6100 to 6139): true names vary by 22 % at most; of nine wrong names that stand out five vary
+    by 45 % or more, four by 28 % or less. Fresh drives: results/blind_left_out.md.
     """
     while True:
         unnamed = [one for one in findings if one.name.startswith(UNKNOWN) or one.doubt]
@@ -251,7 +251,7 @@ def _doubt(finding: Finding, unnamed: float, rest: Rest | None) -> str:
         return "it does not stand out from what no law explains, and may be part of that"
     if finding.strength_variation > LARGEST_VARIATION:
         percent = 100.0 * finding.strength_variation
-        return f"its strength varies by {percent:.0f} % from place to place in the runs: another law may be true"
+        return f"its strength varies by {percent:.0f} % within the runs: another law may be true"
     if finding.regime_before is not None and not finding.is_confirmed:
         return "the held-out runs excite it and do not confirm it"
     return ""

@@ -106,13 +106,12 @@ def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | f
     """
     if not columns.shape[1]:
         return huber(target)
-    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    scaled = _of_unit_norm(columns)
     pulled = clipped(target)
     parts = [folds.fold == k for k in range(FOLDS)]
     squares = [scaled[p].T @ scaled[p] for p in parts]
     products = [scaled[p].T @ pulled[p] for p in parts]
-    prior = np.diag(np.broadcast_to(RIDGE + np.asarray(ridge), norms.shape))
+    prior = np.diag(np.broadcast_to(RIDGE + np.asarray(ridge), columns.shape[1:]))
     whole, right = sum(squares) + prior, sum(products)
     left = np.empty(target.size)
     for p, square, product in zip(parts, squares, products, strict=True):
@@ -121,14 +120,18 @@ def unseen_loss(target: Floats, columns: Floats, folds: Folds, ridge: Floats | f
     return huber(left)
 
 
+def _of_unit_norm(columns: Floats) -> Floats:
+    """Columns (m, p) scaled to unit norm, so that a ridge weighs all of them alike."""
+    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    return np.asarray(columns / np.where(norms > 0.0, norms, 1.0))
+
+
 def robust_residual(target: Floats, columns: Floats) -> Floats:
     """Residual of `target` (m,) after the fit of `columns` (m, p), both whitened, with the loss of `huber`."""
-    left = target
-    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    left, scaled = target, _of_unit_norm(columns)
     for _ in range(ROBUST_STEPS):
         weighted = scaled * np.minimum(1.0, HUBER / np.maximum(np.abs(left), HUBER))[:, None]
-        square = weighted.T @ scaled + RIDGE * np.eye(norms.size)
+        square = weighted.T @ scaled + RIDGE * np.eye(columns.shape[1])
         left = target - scaled @ np.linalg.solve(square, weighted.T @ target)
     return left
 
@@ -206,9 +209,8 @@ def strength_variation(torque: Floats, beside: Floats, residual: Floats, folds: 
     machine has one strength everywhere; a substitute for another law does not. The noise comes from the windows of each
     block.
     """
-    norms = np.sqrt(np.einsum("ij,ij->j", beside, beside))
-    scaled = beside / np.where(norms > 0.0, norms, 1.0)
-    own = torque - scaled @ np.linalg.solve(scaled.T @ scaled + RIDGE * np.eye(norms.size), scaled.T @ torque)
+    scaled = _of_unit_norm(beside)
+    own = torque - scaled @ np.linalg.solve(scaled.T @ scaled + RIDGE * np.eye(beside.shape[1]), scaled.T @ torque)
     energy = np.bincount(folds.block, own**2)
     change = np.bincount(folds.block, own * clipped(residual)) / np.maximum(energy, 1e-300)
     scores = np.bincount(folds.window, own * (residual - change[folds.block] * own))
