@@ -78,6 +78,7 @@ CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the
 FLEET = Format("fleet", "store.json of a fleet's store", "fleet add", "fleet")
 FLEET_REPORT = Format("fleet_report", "results in report.json of a fleet", "fleet report", NOBODY)
 FLEET_COMPARISON = Format("fleet_comparison", "results in report.json of two sets of runs", "fleet compare", NOBODY)
+FLEET_DIAGNOSIS = Format("fleet_diagnosis", "results in report.json of drives that moved", "fleet diagnose", NOBODY)
 POPULATION = Format("population", "parameters of the drives of one model", "fleet.prior", "identify, diagnose")
 REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
 
@@ -85,7 +86,7 @@ FORMATS: dict[str, Format] = {
     f.kind: f
     for f in (
         AXIS, DRIVE_PROFILE, MODEL, SIMULATED, SCENARIO, FACTS, COMMISSIONING, ADOPTIONS, DIAGNOSIS, REPORT,
-        IDENTIFICATION, TUNING, CIRCLE, FLEET, FLEET_REPORT, FLEET_COMPARISON, POPULATION,
+        IDENTIFICATION, TUNING, CIRCLE, FLEET, FLEET_REPORT, FLEET_COMPARISON, FLEET_DIAGNOSIS, POPULATION,
     )
 }  # fmt: skip
 

@@ -6,11 +6,13 @@ fffo-drive fleet status STORE          how far that is, and what failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
 fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
+fffo-drive fleet diagnose STORE        the raw runs of drives that changed: what is in them now, and before
 fffo-drive fleet compare A B           two runs, or two times of a drive: what differs beyond chance
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
 
-Exit codes: 0 done; 74 the disk of the store; 78 bad input, also where a run that was named could not be added.
+Exit codes: 0 done; 74 the disk of the store; 78 bad input, also where a run that was named could not be added or
+diagnosed.
 """
 
 from __future__ import annotations
@@ -61,8 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
     watch = _action(actions, "watch", "changes in drives' own histories, at a rate of false alarms that you set")
-    watch.add_argument(
-        "--alarms-per-drive-year", type=float, default=0.01, metavar="R", help="false ones, at most (%(default)g)"
+    _rate_argument(watch)
+    diagnose = _action(actions, "diagnose", "the raw runs of drives that changed, those before the change and since")
+    diagnose.add_argument("--out", required=True, metavar="DIR", help="directory of the pages")
+    _rate_argument(diagnose)
+    diagnose.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="only these drives, changed or not")
+    diagnose.add_argument(
+        "--runs", type=int, default=8, metavar="N", help="on either side of the change, at most (%(default)d)"
     )
     compare = actions.add_parser("compare", help="what differs between two runs, or two times of a drive")
     compare.description = (
@@ -83,6 +90,12 @@ def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
     parser.add_argument("store", metavar="STORE", help="directory, or s3://BUCKET/PREFIX")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
+
+
+def _rate_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--alarms-per-drive-year", type=float, default=0.01, metavar="R", help="false ones, at most (%(default)g)"
+    )
 
 
 def _engine_arguments(parser: argparse.ArgumentParser) -> None:
@@ -287,6 +300,29 @@ def _watch(options: argparse.Namespace) -> int:
     return 0
 
 
+def _diagnose(options: argparse.Namespace) -> int:
+    from ..fleet.diagnosing import diagnose_drives, diagnosis_lines, require_places, subjects_of, write_fleet_diagnosis
+    from ..fleet.store import FleetStore
+
+    if options.runs < 1:
+        raise DocumentError(f"--runs {options.runs}: at least 1")
+    out = Path(options.out)
+    store = FleetStore(options.store)
+    with progress_bar("watch", quiet=options.json):
+        moved = _watched(store, options.alarms_per_drive_year)
+    subjects = subjects_of(store, moved, options.serial, options.runs)
+    require_places(subjects, out)
+    found = diagnose_drives(store, subjects, out, partial(progress_bar, quiet=options.json))
+    paths = write_fleet_diagnosis(found, store.place.address, out)
+    for problem in found.problems:
+        print(f"not diagnosed: {problem}", file=sys.stderr)
+    if options.json:
+        print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
+    else:
+        print("\n".join([*diagnosis_lines(found), str(paths.page)]))
+    return EXIT_BAD_INPUT if found.problems else 0
+
+
 def _compare(options: argparse.Namespace) -> int:
     from ..fleet.compare import compared, side_of_file, side_of_store, write_comparison
     from ..fleet.difference import difference_lines
@@ -311,5 +347,5 @@ def _compare(options: argparse.Namespace) -> int:
 
 _ACTIONS = {
     "add": _add, "work": _work, "status": _status, "compact": _compact, "report": _report, "watch": _watch,
-    "compare": _compare,
+    "diagnose": _diagnose, "compare": _compare,
 }  # fmt: skip

@@ -78,25 +78,24 @@ def record_row(entry: Entry) -> dict[str, Any]:
     """The record of a run that the index names. Raises DataError for what its file does wrong, UnreachedError."""
     path = str(entry["path"])
     with contextlib.ExitStack() as kept:
-        copy, digest = _reached(path, kept)
-        if digest != entry["run"]:
-            raise DataError(f"{path}: has changed since it was added: add it again")
+        copy = reached_file(entry, kept)
         try:
             with threadpool_limits(1):  # sums in another order would be other bytes
-                row = measured(copy, digest, facts_of(entry))
+                row = measured(copy, str(entry["run"]), facts_of(entry))
         except (RecordingError, DocumentError) as error:
             raise DataError(str(error).replace(str(copy), path)) from error
     return row | {name: entry[name] for name in ("drive", "model", "path", "start")}
 
 
-def _reached(path: str, kept: contextlib.ExitStack) -> tuple[Path, str]:
-    """The file on this machine, for as long as `kept`, and its content hash.
+def reached_file(entry: Entry, kept: contextlib.ExitStack) -> Path:
+    """The file of a run on this machine, for as long as `kept`: what was added, byte by byte.
 
-    Raises DataError where it is gone from a place that answers, UnreachedError where that does not.
+    Raises DataError where it has changed, or is gone from a place that answers; UnreachedError where that does not.
     """
+    path = str(entry["path"])
     try:
         copy = kept.enter_context(local_copy(path))
-        return copy, digest_of(copy)
+        digest = digest_of(copy)
     except DocumentError:
         raise
     except FileNotFoundError as error:
@@ -105,6 +104,9 @@ def _reached(path: str, kept: contextlib.ExitStack) -> tuple[Path, str]:
         raise UnreachedError(f"{path}: its directory is not there") from error
     except Exception as error:  # clients of object stores have their own
         raise UnreachedError(f"{path}: cannot be reached: {error}") from error
+    if digest != entry["run"]:
+        raise DataError(f"{path}: has changed since it was added: add it again")
+    return copy
 
 
 @contextlib.contextmanager
