@@ -4,7 +4,7 @@
 
 N drives without wear make the population and M others are measured, on the simulated drive's plant. Their records are
 kept in DIR, and missing ones are made. Each measured drive moves for five seconds on the day of one of its runs (a
-staircase of three speeds, both ways); that run itself, of random moves, is the comparison. `--only-kept` uses the
+staircase of three speeds, each both ways); that run itself, of random moves, is the comparison. `--only-kept` uses the
 drives whose records exist.
 """
 
@@ -37,8 +37,8 @@ RUNS = 34
 TEST_RUN = 17  # whose day the seconds of motion are on
 FULL_RUNS = 8  # of the others, those nearest in temperature: a full recipe, about a minute of motion
 SHARES = (0.1, 0.35, 1.0)  # of the highest speed: the staircase
-HOLDS_S = (0.55, 0.55, 0.95)
-RAMPS_S = (0.05, 0.1, 0.15)
+HOLDS_S = (0.5, 0.5, 0.9)
+RAMPS_S = (0.05, 0.1, 0.2)
 MORE_FRICTION = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # of drives of another population
 OTHERS = 60  # drives of each
 CONFIDENCE, NORMAL_95 = 0.95, 1.96
@@ -66,7 +66,11 @@ class Judged(NamedTuple):
 
 
 def staircase(period_s: float) -> Profile:
-    """Five seconds: three speeds, one way up and the other way down."""
+    """Five seconds: three speeds, each both ways before the next.
+
+    Both directions have the same history then. All speeds one way and back the other way would go up in one direction
+    and down in the other: friction follows speed late, and the difference would count as constant torque.
+    """
     high_rps = SPEED_RPS[1]
     times, values = [0.0], [0.0]
 
@@ -76,8 +80,7 @@ def staircase(period_s: float) -> Profile:
 
     for share, ramp_s, hold_s in zip(SHARES, RAMPS_S, HOLDS_S, strict=True):
         to(share * high_rps, ramp_s, hold_s)
-    for place, share in reversed(list(enumerate(SHARES))):
-        to(-share * high_rps, 2.0 * RAMPS_S[place], HOLDS_S[place])
+        to(-share * high_rps, 2.0 * ramp_s, hold_s)
     to(0.0, RAMPS_S[0], RAMPS_S[0])
     return piecewise_linear("staircase", MODE_VELOCITY, period_s, np.array(times), np.array(values))
 
