@@ -26,7 +26,7 @@ import numpy.typing as npt
 from ..jit import njit
 from .detector import BURN_IN, CLIP, NORMAL_MAD
 from .history import RunHistory, joined
-from .matrices import factor, inverse_total
+from .matrices import factor, inverse_total, medians_of_known
 from .words import WORDS
 
 Floats = npt.NDArray[np.float64]
@@ -428,7 +428,7 @@ def _usual_weights(stack: Stack, prior: FleetPrior, drives: Integers, covariance
         [np.arange(stack.bounds[d], min(stack.bounds[d + 1], stack.bounds[d] + LEARNED_RUNS)) for d in some]
     )
     weights, _, _ = _weights(stack.information[runs], prior, covariance)
-    usual = np.nanmedian(weights, axis=0)
+    usual = medians_of_known(weights, 0)
     return np.where(np.isfinite(usual), usual, 0.0)
 
 

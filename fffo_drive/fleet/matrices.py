@@ -1,4 +1,4 @@
-"""Many small symmetric matrices: for these, numpy's overhead per matrix exceeds the arithmetic."""
+"""Many small arrays: for these, numpy's overhead per array exceeds the arithmetic."""
 
 from __future__ import annotations
 
@@ -106,3 +106,11 @@ def inverse_total(information: Floats, covariance: Floats) -> Floats:
     scratch = np.empty(covariance.shape), np.zeros(covariance.shape)
     _add_in_parallel(own, 0.5 * (precision + precision.T), *scratch, total)
     return total.reshape(information.shape)
+
+
+def medians_of_known(values: Floats, axis: int) -> Floats:
+    """Medians along an axis of what is not nan; nan where all is. numpy's nanmedian takes ten times as long."""
+    ordered = np.sort(values, axis=axis)  # nan comes last
+    count = np.sum(~np.isnan(values), axis=axis, keepdims=True)
+    low, high = (np.take_along_axis(ordered, place, axis) for place in (np.maximum(count - 1, 0) // 2, count // 2))
+    return np.asarray(np.where(count > 0, 0.5 * (low + high), np.nan).squeeze(axis))

@@ -15,14 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ..documents import counted
+from ..identification.threads import in_threads
 from ..units import NORMAL_95
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
 from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory, model_records
 from .learning import evenly, learned
+from .matrices import medians_of_known
 from .store import FleetStore
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 DEFAULT_ALARMS_PER_DRIVE_YEAR = 0.01
 FIRST_WITHIN = 8  # runs before and after the detector's guess, among which the first run is looked for
@@ -156,7 +159,11 @@ def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> 
         return watch(records.histories(drives), alarms_per_drive_year).found
     known = learned(stacked(records.histories(evenly(drives.size))))
     pieces = np.split(drives, range(DRIVES_A_PIECE, drives.size, DRIVES_A_PIECE))
-    found = [watch(records.histories(piece), alarms_per_drive_year, known=known).found for piece in pieces]
+
+    def watched(piece: Integers) -> Watched:
+        return watch(records.histories(piece), alarms_per_drive_year, known=known).found
+
+    found = list(in_threads(watched, pieces))
     return Watched(
         tuple(alarm for one in found for alarm in one.alarms), tuple(doubt for one in found for doubt in one.doubts),
         sum(one.drives for one in found), sum(one.runs for one in found), sum(one.drive_years for one in found),
@@ -271,42 +278,53 @@ def _to_look_at(stack: Stack, channels: Channels, drive: int, c: int, first: int
 
 def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
     """Drives of which the records cannot say whether it is wear or temperature, and those with too few runs."""
-    found = []
-    place = stack.columns.index(VISCOUS) if VISCOUS in stack.columns else None
-    if place is not None:
-        viscous = np.where(stack.information[:, place, place] > 0.0, stack.theta[:, place], np.nan)
+    counts = np.diff(stack.bounds)
+    found = {
+        int(number): f"{counts[number]} runs: a change is looked for from run {BURN_IN + 1} on"
+        for number in np.flatnonzero(counts <= BURN_IN)
+    }
+    enough = counts > BURN_IN
+    found |= _unseen_temperatures(stack, np.flatnonzero(enough & stack.logged))
+    if VISCOUS in stack.columns:
+        place = stack.columns.index(VISCOUS)
         sd = math.sqrt(prior.ambient_covariance[place, place])
-    for number, drive in enumerate(stack.drives):
-        runs = stack.of(number)
-        count = runs.stop - runs.start
-        if count <= BURN_IN:
-            found.append(Undecided(drive, f"{count} runs: a change is looked for from run {BURN_IN + 1} on"))
-        elif stack.logged[number]:
-            degc = MEAN_DEGC + STEP_K * stack.temperature[runs]
-            before, now = degc[:-RECENT], _median(degc[-RECENT:])
-            if before.size and np.isfinite(before).any():
-                low, high = float(np.nanmin(before)), float(np.nanmax(before))
-                if not low - OUTSIDE_K <= now <= high + OUTSIDE_K:
-                    found.append(Undecided(drive, (
-                        f"the last runs are at {now:.0f} degC, those before at {low:.0f} to {high:.0f} degC: what this "
-                        "temperature does to the drive is not known from its own runs, so a change of friction cannot "
-                        "be distinguished from it yet"
-                    )))  # fmt: skip
-        elif place is not None and count >= 2 * RECENT:
-            usual, now = _median(viscous[runs][:-RECENT]), _median(viscous[runs][-RECENT:])
-            if abs(now - usual) > OUTSIDE_SDS * sd:
-                found.append(Undecided(drive, (
-                    f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
-                    f"temperature moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
-                    "logged, so wear cannot be distinguished from temperature: log it, or compare runs at the same one"
-                )))  # fmt: skip
+        found |= _unusual_viscous(stack, np.flatnonzero(enough & ~stack.logged & (counts >= 2 * RECENT)), place, sd)
+    return [Undecided(stack.drives[number], found[number]) for number in sorted(found)]
+
+
+def _unseen_temperatures(stack: Stack, drives: Integers) -> dict[int, str]:
+    """Of these drives, which have more than RECENT runs, those whose last runs are at a temperature of their own."""
+    begins, ends = stack.bounds[drives], stack.bounds[drives + 1]
+    degc = MEAN_DEGC + STEP_K * stack.temperature
+    recent = ends[:, None] - 1 - np.arange(RECENT)
+    now = medians_of_known(degc[recent], 1)
+    before = np.append(degc, np.nan)
+    before[recent] = np.nan
+    spans = np.column_stack([begins, ends]).ravel()
+    low, high = (one.reduceat(before, spans)[::2] if drives.size else now for one in (np.fmin, np.fmax))
+    outside = (now < low - OUTSIDE_K) | (now > high + OUTSIDE_K)
+    return {
+        int(drives[k]): f"the last runs are at {now[k]:.0f} degC, those before at {low[k]:.0f} to {high[k]:.0f} degC: "
+        "what this temperature does to the drive is not known from its own runs, so a change of friction cannot be "
+        "distinguished from it yet"
+        for k in np.flatnonzero(outside)
+    }
+
+
+def _unusual_viscous(stack: Stack, drives: Integers, place: int, sd: float) -> dict[int, str]:
+    """Of these drives without a thermometer, those whose viscous friction is further off than temperature moves it."""
+    viscous = np.where(stack.information[:, place, place] > 0.0, stack.theta[:, place], np.nan)
+    found = {}
+    for drive in drives:
+        runs = viscous[stack.of(drive)]
+        usual, now = (float(medians_of_known(part, 0)) for part in (runs[:-RECENT], runs[-RECENT:]))
+        if abs(now - usual) > OUTSIDE_SDS * sd:
+            found[int(drive)] = (
+                f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
+                f"temperature moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
+                "logged, so wear cannot be distinguished from temperature: log it, or compare runs at the same one"
+            )
     return found
-
-
-def _median(values: Floats) -> float:
-    """Of those of (n,) that are known; nan where none is. Of few values, numpy's takes ten times as long."""
-    known = np.sort(values[np.isfinite(values)])
-    return 0.5 * float(known[(known.size - 1) // 2] + known[known.size // 2]) if known.size else math.nan
 
 
 def alarm_text(alarm: Alarm) -> str:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fffo_drive.fleet.matrices import inverses
+from fffo_drive.fleet.matrices import inverses, medians_of_known
 
 
 @pytest.fixture
@@ -36,3 +36,14 @@ def test_the_determinant_bounds_the_smallest_eigenvalue():
     matrices = np.swapaxes(vectors, 1, 2) @ vectors
     _, determinant = inverses(matrices)
     assert np.all(np.linalg.eigvalsh(matrices)[:, 0] * math.e >= determinant)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_medians_are_numpy_s_of_what_is_known(axis):
+    values = np.random.default_rng(6).standard_normal((9, 8))
+    values[np.random.default_rng(7).random((9, 8)) < 0.4] = np.nan
+    assert np.array_equal(medians_of_known(values, axis), np.nanmedian(values, axis=axis))
+
+
+def test_the_median_of_nothing_known_is_nan():
+    assert np.array_equal(medians_of_known(np.full((2, 3), np.nan), 1), [np.nan, np.nan], equal_nan=True)

@@ -3,8 +3,8 @@
   tools/benchmarks/fleet_prior --lives DIR [--drives N M]
 
 N drives without wear make the population and M others are measured, on the simulated drive's plant. Their records are
-kept in DIR, and missing ones are made. Each measured drive moves for five seconds on the day of one of its runs (a
-staircase of three speeds, each both ways); that run itself, of random moves, is the comparison. `--only-kept` uses the
+kept in DIR, and missing ones are made. Each measured drive moves for five seconds on the day of one of its runs
+(configs/profiles/short.yaml); that run itself, of random moves, is the comparison. `--only-kept` uses the
 drives whose records exist.
 """
 
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 from common import RESULTS, ROOT, commit, machine, progress_bar
 from lives_plant import NONE, SPEED_RPS, Life, life_runs, lives, recorded
 from lives_records import THERMOMETER_K, RealLife, make_life, read_life, row_of, without_temperature
@@ -32,13 +33,11 @@ from fffo_drive.fleet.regress import PARAMETERS
 Floats = npt.NDArray[np.float64]
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
+SHORT = ROOT / "configs" / "profiles" / "short.yaml"  # of nine staircases the one with the least bias for TEACHING
 TEACHING, MEASURED, OTHER = 51, 52, 53  # seeds
 RUNS = 34
 TEST_RUN = 17  # whose day the seconds of motion are on
 FULL_RUNS = 8  # of the others, those nearest in temperature: a full recipe, about a minute of motion
-SHARES = (0.1, 0.35, 1.0)  # of the highest speed: the staircase
-HOLDS_S = (0.5, 0.5, 0.9)
-RAMPS_S = (0.05, 0.1, 0.2)
 MORE_FRICTION = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # of drives of another population
 OTHERS = 60  # drives of each
 CONFIDENCE, NORMAL_95 = 0.95, 1.96
@@ -66,23 +65,10 @@ class Judged(NamedTuple):
 
 
 def staircase(period_s: float) -> Profile:
-    """Five seconds: three speeds, each both ways before the next.
-
-    Both directions have the same history then. All speeds one way and back the other way would go up in one direction
-    and down in the other: friction follows speed late, and the difference would count as constant torque.
-    """
-    high_rps = SPEED_RPS[1]
-    times, values = [0.0], [0.0]
-
-    def to(level: float, ramp_s: float, hold_s: float) -> None:
-        times.extend([times[-1] + ramp_s, times[-1] + ramp_s + hold_s])
-        values.extend([level, level])
-
-    for share, ramp_s, hold_s in zip(SHARES, RAMPS_S, HOLDS_S, strict=True):
-        to(share * high_rps, ramp_s, hold_s)
-        to(-share * high_rps, 2.0 * ramp_s, hold_s)
-    to(0.0, RAMPS_S[0], RAMPS_S[0])
-    return piecewise_linear("staircase", MODE_VELOCITY, period_s, np.array(times), np.array(values))
+    """The profile that is shipped for this, up to the highest speed of these drives."""
+    points = np.array(yaml.safe_load(SHORT.read_text(encoding="utf-8"))["profile"]["points"])
+    scale = SPEED_RPS[1] / points[:, 1].max()
+    return piecewise_linear("staircase", MODE_VELOCITY, period_s, points[:, 0], scale * points[:, 1])
 
 
 def short_run(case: Case, candidate: Candidate, life: Life, seed: int, path: Path) -> Rows:
