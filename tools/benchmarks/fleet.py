@@ -170,8 +170,8 @@ def run() -> int:
         }.items():  # fmt: skip
             figures = [timed(command) for _ in range(options.passes or (1 if options.sample else 3))]
             wall_s, cpu_s, peak_mb = (float(np.median([one[k] for one in figures])) for k in range(3))
-            report.figure(f"{what}: time on the clock", wall_s, "s")
-            report.figure(f"{what}: processor time", cpu_s, "s", LARGEST_S)
+            report.figure(f"{what}: time on the clock", wall_s, "s", LARGEST_S)  # `watch` uses two threads
+            report.figure(f"{what}: processor time", cpu_s, "s")
             report.figure(f"{what}: peak memory", peak_mb, "MB", LARGEST_MB, digits=4)
         size = (Path(folder) / "page" / "report.html").stat().st_size
         report.figure("the page", size / 1e6, "MB")
