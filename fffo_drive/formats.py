@@ -78,7 +78,7 @@ CIRCLE = Format("circle", "results in report.json of a whole circle", "close-the
 FLEET = Format("fleet", "store.json of a fleet's store", "fleet add", "fleet")
 FLEET_REPORT = Format("fleet_report", "results in report.json of a fleet", "fleet report", NOBODY)
 FLEET_COMPARISON = Format("fleet_comparison", "results in report.json of two sets of runs", "fleet compare", NOBODY)
-FLEET_DIAGNOSIS = Format("fleet_diagnosis", "results in report.json of drives that moved", "fleet diagnose", NOBODY)
+FLEET_DIAGNOSIS = Format("fleet_diagnosis", "results in report.json of drives that changed", "fleet diagnose", NOBODY)
 POPULATION = Format("population", "parameters of the drives of one model", "fleet.prior", "identify, diagnose")
 REPORT = Format("report", "report.json of all but diagnose", "identify, tune, evaluate, bench, close-the-loop", NOBODY)
 

@@ -309,8 +309,8 @@ def _diagnose(options: argparse.Namespace) -> int:
     out = Path(options.out)
     store = FleetStore(options.store)
     with progress_bar("watch", quiet=options.json):
-        moved = _watched(store, options.alarms_per_drive_year)
-    subjects = subjects_of(store, moved, options.serial, options.runs)
+        changed = _watched(store, options.alarms_per_drive_year)
+    subjects = subjects_of(store, changed, options.serial, options.runs)
     require_places(subjects, out)
     found = diagnose_drives(store, subjects, out, partial(progress_bar, quiet=options.json))
     paths = write_fleet_diagnosis(found, store.place.address, out)

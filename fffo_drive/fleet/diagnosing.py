@@ -1,6 +1,6 @@
-"""Drives that moved, by their raw files: a diagnosis of the runs before the change beside one of the runs since.
+"""Drives that changed, by their raw files: a diagnosis of the runs before the change beside one of the runs since.
 
-A record says that Coulomb friction or a ripple of order 12 grew. The raw files of the few drives that moved say what
+A record says that Coulomb friction or a ripple of order 12 grew. The raw files of the few drives that changed say what
 the axis has now that its model lacks, and whether it had it before.
 """
 
@@ -32,7 +32,6 @@ from .watch import Alarm, Watched, alarm_text
 from .work import UnreachedError, reached_file
 
 KIND = "fleet-diagnosis"
-RUNS_A_SIDE = 8  # runs on either side of a change that are diagnosed, unless told otherwise
 HELD_OUT_EVERY = 4  # one run in so many proves what the others show
 BEFORE, NOW = "before", "now"  # sides of a change
 BASE = (("inertia", "kg m²"), ("Coulomb friction", "Nm"), ("static friction", "Nm"), ("viscous friction", "Nm/rps"))
@@ -44,7 +43,7 @@ class Subject(NamedTuple):
     model: str
     drive: str
     alarms: tuple[Alarm, ...]
-    sides: Mapping[str, tuple[str, ...]]  # by BEFORE, NOW; a drive that did not move has only NOW
+    sides: Mapping[str, tuple[str, ...]]  # by BEFORE, NOW; a drive without a change has only NOW
 
 
 class DiagnosedDrive(NamedTuple):
@@ -62,9 +61,9 @@ class FleetDiagnosis(NamedTuple):
 
 
 def subjects_of(
-    store: FleetStore, moved: Mapping[str, Watched], serials: Sequence[str] = (), most_runs: int = RUNS_A_SIDE
+    store: FleetStore, changed: Mapping[str, Watched], serials: Sequence[str], most_runs: int
 ) -> list[Subject]:
-    """The drives that moved (`moved`: by model), or those of these serial numbers, moved or not.
+    """The drives that changed (`changed`: by model), or those of these serial numbers, changed or not.
 
     Before: the last runs before the first of its changes may have begun. Now: the last runs of all, none of them from
     before the last change was complete. Raises DocumentError for a serial number without a record.
@@ -77,7 +76,7 @@ def subjects_of(
     found = []
     for model in models_of(store):
         alarms: dict[str, list[Alarm]] = {}
-        for alarm in moved[model].alarms if model in moved else ():
+        for alarm in changed[model].alarms if model in changed else ():
             alarms.setdefault(alarm.drive, []).append(alarm)
         wanted = [name for name in serials if (model, name) in known] if serials else sorted(alarms)
         for drive in wanted:
@@ -217,15 +216,19 @@ def diagnosis_lines(found: FleetDiagnosis) -> Iterator[str]:
 
 def _verdict(found: FleetDiagnosis) -> Verdict:
     alarms = [alarm for drive in found.drives for alarm in drive.subject.alarms]
-    moved = sum(bool(drive.subject.alarms) for drive in found.drives)
+    changed = sum(bool(drive.subject.alarms) for drive in found.drives)
     return Verdict(
-        headline=f"{counted(len(found.drives), 'drive')} diagnosed, {moved} of them moved"
+        headline=f"{counted(len(found.drives), 'drive')} diagnosed, {changed} of them changed"
         if found.drives
-        else "No drive moved: there is nothing to diagnose",
+        else "No drive changed: there is nothing to diagnose",
         finding=f"{counted(len(alarms), 'change')} in drives' own histories",
-        confidence="probable" if moved else "cannot tell",
-        next_step="compare before and now" if moved else "read the drive's pages" if found.drives else "nothing to do",
-        lines=[Line(label="moved", text=alarm_text(alarm)) for alarm in alarms[:3]],
+        confidence="probable" if changed else "cannot tell",
+        next_step="compare before and now"
+        if changed
+        else "read the drive's pages"
+        if found.drives
+        else "nothing to do",
+        lines=[Line(label="changed", text=alarm_text(alarm)) for alarm in alarms[:3]],
         cautions=list(found.problems),
     )
 

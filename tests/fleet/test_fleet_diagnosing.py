@@ -56,7 +56,7 @@ def watched(*alarms):
 
 
 def sides_of(store, runs, *alarms, most=8):
-    (subject,) = subjects_of(store, watched(*alarms), most_runs=most)
+    (subject,) = subjects_of(store, watched(*alarms), [], most)
     return {side: [runs["A2"].index(run) for run in own] for side, own in subject.sides.items()}
 
 
@@ -78,9 +78,9 @@ def test_a_change_that_still_grows_leaves_the_last_two_runs(store, runs):
 def test_a_drive_that_is_asked_for_needs_no_change(store, runs):
     (subject,) = subjects_of(store, watched(), ["A/1"], 3)
     assert dict(subject.sides) == {NOW: tuple(runs["A/1"][-3:])}
-    assert subjects_of(store, watched()) == []
+    assert subjects_of(store, watched(), [], 8) == []
     with pytest.raises(DocumentError, match="--serial A3: no record of it: there is A/1, A2"):
-        subjects_of(store, watched(), ["A3"])
+        subjects_of(store, watched(), ["A3"], 8)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_both_sides_stand_side_by_side_and_a_file_that_is_gone_is_reported(store
     gone = next(Path(entry["path"]) for entry in store.index().to_pylist() if entry["run"] == runs["A/1"][0])
     gone.rename(tmp_path / "away.csv")
     try:
-        subjects = subjects_of(store, watched(changed("A/1", runs["A/1"], first=6)))
+        subjects = subjects_of(store, watched(changed("A/1", runs["A/1"], first=6)), [], 8)
         found = diagnose_drives(store, subjects, tmp_path / "pages")
     finally:
         (tmp_path / "away.csv").rename(gone)
@@ -151,4 +151,4 @@ def test_mistakes_are_answered_in_one_line_before_anything_is_computed(store, tm
     assert main(arguments) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'pages' / 'report.html'}\n"
     page = json.loads((tmp_path / "pages" / "report.json").read_text())
-    assert page["verdict"]["headline"] == "No drive moved: there is nothing to diagnose"
+    assert page["verdict"]["headline"] == "No drive changed: there is nothing to diagnose"

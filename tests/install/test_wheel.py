@@ -71,7 +71,7 @@ IN_PROCESS = (
     Typed("fleet compact store", "2 records in 1 file"),
     Typed("fleet report store --out population", "2 runs", "population/report.html"),
     Typed("fleet watch store", "a change is looked for from run 9 on"),
-    Typed("fleet diagnose store --out moved", "moved/report.html", "moved/report.json"),
+    Typed("fleet diagnose store --out changed", "changed/report.html", "changed/report.json"),
     Typed("fleet compare work.mcap circle/before.mcap --out differences", "1 run against 1", "differences/report.html"),
     Typed("sim configs/simulated_drive.yaml --eds drive.eds", "wrote drive.eds", "drive.eds"),
     Typed("drive-info drive.eds", "can be used, as far as the file says"),
