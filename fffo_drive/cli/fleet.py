@@ -6,7 +6,7 @@ fffo-drive fleet status STORE          how far that is, and what failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
 fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
-fffo-drive fleet diagnose STORE        the raw runs of drives that changed: what is in them now, and before
+fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
 fffo-drive fleet compare A B           two runs, or two times of a drive: what differs beyond chance
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
@@ -62,14 +62,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--alarms-per-drive-year", type=float, metavar="R", help="also what moved, as `fleet watch` finds it"
     )
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
-    watch = _action(actions, "watch", "changes in drives' own histories, at a rate of false alarms that you set")
+    watch = _action(
+        actions, "watch", "find changes in each drive's own history, at the false-alarm rate that you set"
+    )
     _rate_argument(watch)
-    diagnose = _action(actions, "diagnose", "the raw runs of drives that changed, those before the change and since")
+    diagnose = _action(actions, "diagnose", "diagnose the raw runs of each changed drive, before its change and now")
     diagnose.add_argument("--out", required=True, metavar="DIR", help="directory of the pages")
     _rate_argument(diagnose)
     diagnose.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="only these drives, changed or not")
     diagnose.add_argument(
-        "--runs", type=int, default=8, metavar="N", help="on either side of the change, at most (%(default)d)"
+        "--runs", type=int, default=8, metavar="N", help="at most so many runs on each side (default: %(default)d)"
     )
     compare = actions.add_parser("compare", help="what differs between two runs, or two times of a drive")
     compare.description = (
@@ -94,7 +96,11 @@ def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
 
 def _rate_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--alarms-per-drive-year", type=float, default=0.01, metavar="R", help="false ones, at most (%(default)g)"
+        "--alarms-per-drive-year",
+        type=float,
+        default=0.01,
+        metavar="R",
+        help="false alarms that you accept, of all laws together (default: %(default)g)",
     )
 
 

@@ -210,7 +210,8 @@ def diagnosis_lines(found: FleetDiagnosis) -> Iterator[str]:
         if not subject.alarms:
             yield f"{subject.drive}: no change in its own history"
         for side, one in sides.items():
-            yield f"  {side} ({counted(len(subject.sides[side]), 'run')}): {one.diagnosis.headline}"
+            runs = len(one.diagnosis.fit_names) + len(one.diagnosis.held_out_names)
+            yield f"  {side} ({counted(runs, 'run')}): {one.diagnosis.headline}"
             yield f"    {one.page}"
 
 

@@ -334,7 +334,7 @@ def alarm_text(alarm: Alarm) -> str:
     of = "" if alarm.scale in (alarm.law, "its size before") else f" of {alarm.scale}"
     text = (
         f"{alarm.drive}: {alarm.law} {100.0 * alarm.change:+.1f} %{of} ({100.0 * low:+.1f} to {100.0 * high:+.1f} %) "
-        f"since {_day(alarm.first_time_s)}{grew}, raised {_day(alarm.raised_time_s)}"
+        f"since {_day(alarm.first_time_s)}{grew}, alarm raised on {_day(alarm.raised_time_s)}"
     )
     if alarm.others:
         text += f"; it may also be {' or '.join(alarm.others)}"
