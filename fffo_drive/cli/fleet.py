@@ -62,9 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--alarms-per-drive-year", type=float, metavar="R", help="also what moved, as `fleet watch` finds it"
     )
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
-    watch = _action(
-        actions, "watch", "find changes in each drive's own history, at the false-alarm rate that you set"
-    )
+    watch = _action(actions, "watch", "find changes in each drive's own history, at the false-alarm rate that you set")
     _rate_argument(watch)
     diagnose = _action(actions, "diagnose", "diagnose the raw runs of each changed drive, before its change and now")
     diagnose.add_argument("--out", required=True, metavar="DIR", help="directory of the pages")
