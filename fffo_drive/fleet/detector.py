@@ -40,7 +40,7 @@ SECOND_MOMENT = 1.04  # of a clipped score at most: Student's t with two degrees
 SCALE_CLIP_SQUARED = 2.25  # of a squared score, in the estimate of the scale: Huber's proposal 2 with k = 1.5
 SCALE_MEAN = 0.7784652  # mean of what is left of a normal one
 SLOPES = np.array([1.0, 2.5])  # l: a small shift and a large one
-LONGEST_TAIL, TAILS = 15.0, 1501  # half widths of the uniform scores in the bound; beyond them, at the clip
+LONGEST_TAIL, TAILS = 15.0, 1501  # largest half width of the uniform scores in the bound, and how many are tried
 MOST_ALARMS = 4  # of one drive
 BURN_IN = 8  # runs that set a level: what comes after is judged against it, these are not
 NORMAL_MAD = 1.4826  # standard deviation over the median magnitude
@@ -268,17 +268,17 @@ def _detect(
 @functools.cache
 def log_norms() -> Floats:
     """Logarithm of the largest E exp(l z) for each of SLOPES. (l,)"""
-    reach = np.append(np.linspace(0.0, LONGEST_TAIL, TAILS), 1e9)  # of the uniform scores that a score is a mixture of
-    inside = np.minimum(CLIP / np.maximum(reach, 1e-300), 1.0)  # share that is not clipped
-    means = [_mean_square(reach, SCALE_CLIP_SQUARED**0.5), _mean_square(reach, CLIP)]
+    # half widths of the uniform scores that a score is a mixture of; the last one is all tail
+    reach = np.append(np.linspace(1e-4, LONGEST_TAIL, TAILS), 1e9)
+    inside = np.minimum(CLIP / reach, 1.0)  # share that is not clipped
+    moments = [_mean_square(reach, clip) for clip in (SCALE_CLIP_SQUARED**0.5, CLIP)]
     found = []
     for slope in SLOPES:
         most = slope * np.minimum(reach, CLIP)
-        growth = inside * np.sinh(most) / np.maximum(most, 1e-9) + (1.0 - inside) * np.cosh(slope * CLIP)
-        growth[0] = 1.0
+        growth = inside * np.sinh(most) / most + (1.0 - inside) * np.cosh(slope * CLIP)
         worst = optimize.linprog(
-            -growth, A_ub=means[1][None], b_ub=[SECOND_MOMENT],
-            A_eq=np.stack([np.ones_like(reach), means[0]]), b_eq=[1.0, SCALE_MEAN],
+            -growth, A_ub=moments[1][None], b_ub=[SECOND_MOMENT],
+            A_eq=np.stack([np.ones_like(reach), moments[0]]), b_eq=[1.0, SCALE_MEAN],
         )  # fmt: skip
         found.append(math.log(float(growth @ worst.x)))
     return np.array(found)
@@ -286,7 +286,7 @@ def log_norms() -> Floats:
 
 def _mean_square(reach: Floats, clip: float) -> Floats:
     """Of scores that are uniform within +-reach (k,), clipped. (k,)"""
-    inside = np.minimum(clip / np.maximum(reach, 1e-300), 1.0)
+    inside = np.minimum(clip / reach, 1.0)
     return np.asarray(inside * np.minimum(reach, clip) ** 2 / 3.0 + (1.0 - inside) * clip**2)
 
 

@@ -17,11 +17,11 @@ from ..diagnosis.results import Diagnosis, Finding
 from ..documents import DocumentError, counted
 from ..identification.dataset import DataError, load_records
 from ..identification.facts import DriveFacts
-from ..model.parameters import ModelFile, Quantity
 from ..recording.errors import RecordingError, did_you_mean
+from ..report.diagnose import base_rows
+from ..report.diagnose_figures import words_of
 from ..report.document import Cell, Heading, Line, Report, Row, Table, Verdict, number, of_linear_axis, provenance
 from ..report.page import ReportPaths, refuse_other_report, write_report
-from ..units import NORMAL_95
 from ..workflows.diagnose import Diagnosed, diagnose, require_place, write_diagnosis
 from ..workflows.progress import Bar, no_bar
 from ..workflows.recorded_facts import facts_for
@@ -34,7 +34,6 @@ from .work import UnreachedError, reached_file
 KIND = "fleet-diagnosis"
 HELD_OUT_EVERY = 4  # one run in so many proves what the others show
 BEFORE, NOW = "before", "now"  # sides of a change
-BASE = (("inertia", "kg m²"), ("Coulomb friction", "Nm"), ("static friction", "Nm"), ("viscous friction", "Nm/rps"))
 
 
 class Subject(NamedTuple):
@@ -245,12 +244,10 @@ def _label(finding: Finding) -> str:
 
 def _table(place: int, drive: DiagnosedDrive, directory: Path) -> Table:
     subject, sides = drive
-    rows = [
-        Row(label=name, unit=unit, cells=[_with_interval(_base(sides[side].diagnosis)[k]) for side in sides])
-        for k, (name, unit) in enumerate(BASE)
-    ]
+    found = [one.diagnosis for one in sides.values()]
+    rows = base_rows([one.model_after or one.model_before for one in found], words_of(found[0])) if found else []
     strengths = {side: {_label(f): f for f in _accepted(one.diagnosis)} for side, one in sides.items()}
-    for label in dict.fromkeys(label for found in strengths.values() for label in found):
+    for label in dict.fromkeys(label for own in strengths.values() for label in own):
         cells = [_strength(strengths[side].get(label)) for side in sides]
         rows.append(Row(label=label, unit="% of friction", cells=cells))
     said = " ".join(f"{alarm_text(alarm)}." for alarm in subject.alarms) or "No change in its own history."
@@ -262,18 +259,6 @@ def _table(place: int, drive: DiagnosedDrive, directory: Path) -> Table:
         "friction. An effect on one side only may have another name on the other: the pages of both have what else "
         f"would explain it. Pages: {pages or 'none'}.",
     )  # fmt: skip
-
-
-def _base(diagnosis: Diagnosis) -> tuple[Quantity, ...]:
-    model: ModelFile = diagnosis.model_after or diagnosis.model_before
-    friction = model.friction
-    return model.inertia_kg_m2, friction.coulomb_nm, friction.static_nm, friction.viscous_nm_per_rps
-
-
-def _with_interval(one: Quantity) -> Cell:
-    if one.sd is None:
-        return number(one.value)
-    return number(one.value, low=one.value - NORMAL_95 * one.sd, high=one.value + NORMAL_95 * one.sd)
 
 
 def _strength(finding: Finding | None) -> Cell:

@@ -375,25 +375,28 @@ def _estimate(one: Estimate | None, scale: float) -> Cell:
 
 
 def _base(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
-    rows = [
-        Row(label=SYMBOLS["inertia_nm_s2_per_rev"].label, unit="kg m²", cells=_model_cells(diagnosis, "inertia_kg_m2"))
-    ]
-    if words.linear:  # the file keeps kg m² at 2 pi; the mass is what people know
-        rows = [Row(label="M, mass", unit="kg", cells=_model_cells(diagnosis, "inertia_kg_m2", 2.0 * math.pi))]
-    rows.append(Row(label=SYMBOLS["delay_s"].label, unit="ms", cells=_model_cells(diagnosis, "delay_s", 1e3)))
-    for name, symbol in FRICTION.items():
-        rows.append(Row(label=symbol.label, unit=words.unit(symbol.unit), cells=_model_cells(diagnosis, name)))
     return Table(
-        name="base", title="Base model", corner="Parameter", rows=rows,
+        name="base", title="Base model", corner="Parameter",
+        rows=base_rows((diagnosis.model_before, diagnosis.model_after), words),
         columns=[Heading(label="before"), Heading(label="with the effects")],
         note="All are refitted with each effect; 95 % intervals where a parameter was fitted."
         + (FROM_PRIOR if diagnosis.prior is not None and not diagnosis.prior.other_population else ""),
     )  # fmt: skip
 
 
-def _model_cells(diagnosis: Diagnosis, name: str, factor: float = 1.0) -> list[Cell]:
-    models = (diagnosis.model_before, diagnosis.model_after)
-    return [DASH if model is None else _quantity(model, name, factor) for model in models]
+def base_rows(models: Sequence[ModelFile | None], words: DiagnosisWords) -> list[Row]:
+    """Parameters of base models side by side; a dash where there is no model."""
+
+    def row(label: str, unit: str, name: str, factor: float = 1.0) -> Row:
+        cells = [DASH if model is None else _quantity(model, name, factor) for model in models]
+        return Row(label=label, unit=unit, cells=cells)
+
+    if words.linear:  # the file keeps kg m² at 2 pi; the mass is what people know
+        inertia = row("M, mass", "kg", "inertia_kg_m2", 2.0 * math.pi)
+    else:
+        inertia = row(SYMBOLS["inertia_nm_s2_per_rev"].label, "kg m²", "inertia_kg_m2")
+    delay = row(SYMBOLS["delay_s"].label, "ms", "delay_s", 1e3)
+    return [inertia, delay, *(row(one.label, words.unit(one.unit), name) for name, one in FRICTION.items())]
 
 
 def _quantity(model: ModelFile, name: str, factor: float) -> Cell:

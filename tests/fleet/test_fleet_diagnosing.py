@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,11 @@ from fleet.fleet_rig import filled_store, write_run
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet import diagnosing
-from fffo_drive.fleet.diagnosing import BEFORE, NOW, diagnose_drives, file_name, subjects_of
+from fffo_drive.fleet.diagnosing import BEFORE, NOW, FleetDiagnosis, diagnose_drives, file_name, subjects_of
 from fffo_drive.fleet.history import history
 from fffo_drive.fleet.watch import Alarm, Watched
 from fffo_drive.fleet.work import work
+from fffo_drive.units import TWO_PI
 
 RUNS = 12
 WEEK_S = 7 * 86_400
@@ -110,6 +112,19 @@ def test_a_drive_without_a_change_is_diagnosed_by_its_last_runs_and_the_newest_i
     assert first == "A/1: no change in its own history"
     assert more[0].startswith("  now (2 runs): ")
     assert more[1:] == [f"    {out / 'M_1' / 'A_1' / NOW / 'report.html'}"]
+
+
+def test_the_inertia_of_a_linear_axis_is_a_mass(store, real, tmp_path):
+    drive = real[0].drives[0]
+    rotary = drive.found[NOW]._replace(page=tmp_path / "report.html", report=tmp_path / "report.json")
+    linear = rotary._replace(diagnosis=replace(rotary.diagnosis, units="linear"))
+    rows = [
+        diagnosing.fleet_diagnosis_report(FleetDiagnosis((drive._replace(found={NOW: one}),), ()), "s", tmp_path)
+        .tables[0].rows[0]
+        for one in (rotary, linear)
+    ]  # fmt: skip
+    assert [row.unit for row in rows] == ["kg m²", "kg"]
+    assert rows[1].cells[0].value == pytest.approx(TWO_PI * rows[0].cells[0].value)
 
 
 def test_both_sides_stand_side_by_side_and_a_file_that_is_gone_is_reported(store, runs, real, tmp_path, monkeypatch):
