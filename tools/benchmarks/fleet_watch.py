@@ -333,10 +333,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "- Drawn: runs of real drives without wear in blocks of five neighbours, with temperature, slopes and times "
         "drawn anew; wear adds its mean effect on real records (tools/benchmarks/lives_records.py). "
         f"{100 * WORN_SHARE:.0f} % of the second fleet wear, a third by each law.",
-        f"- Seeds: the method was chosen on real lives of seeds {CHOSEN_ON}, 5 and 8, and drawn ones of seeds 54 to 56; "
-        f"{len(chosen_on)} drives of the first are the source of the drawn ones"
-        f"; the real figures are of seed {MEASURED_ON}, the drawn ones of seeds {HEALTHY} and "
-        f"{WORN}.",
+        f"- Seeds: the method was chosen on real lives of seeds {CHOSEN_ON}, 5 and 8, and drawn ones of seeds 54 to "
+        f"56; {len(chosen_on)} drives of the first are the source of the drawn ones; the real figures are of seed "
+        f"{MEASURED_ON}, the drawn ones of seeds {HEALTHY} and {WORN}.",
         f"- The other methods' thresholds were calibrated to that rate on {options.drives} drawn drives without wear "
         f"(seed {CALIBRATING}); `watch` uses its theoretical bound without calibration.",
         f"- `watch` took {took:.1f} s of processor time for {options.drives * RUNS} records, learning included.",
