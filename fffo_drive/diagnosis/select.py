@@ -163,6 +163,7 @@ class Selector:
                 self.ladder = scored.fitted
                 self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
         data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
+        data, scored, accepted = self._replaced_curves(data, scored, accepted)
         plain = base_of(data)
         assert self.ladder is not None
         kept = {note.name for note in accepted}  # an effect found beside another cannot replace it
@@ -305,6 +306,26 @@ class Selector:
             return None
         self.visited.add(state)
         return found
+
+    def _replaced_curves(
+        self, data: Data, scored: ScoredFit, accepted: list[Accepted]
+    ) -> tuple[Data, ScoredFit, list[Accepted]]:
+        """Put a law in the place of each free curve that unseen rows do not prefer to it.
+
+        A curve that was accepted before another effect had absorbed part of it, and no law could do that.
+        """
+        for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
+            others = [k for k, note in enumerate(accepted) if note.name != name]
+            left = [scored.fitted.effects[k] for k in others]
+            found = self._round(
+                *renewed(data, fit(data, scored.fitted.physical, left)), [accepted[k] for k in others], LAW_RUNG
+            )
+            if found is None or any(effect.name == name for effect in found[1].fitted.effects):
+                continue
+            fitted = found[1].fitted
+            if not _worse(scored, scored_fit(data, fit(data, fitted.physical, fitted.effects)), data.folds):
+                data, scored, accepted = found
+        return data, scored, accepted
 
     def _contradicted(
         self, data: Data, scored: ScoredFit, evidence: Evidence, believed: Sequence[tuple[Proposal, ScoredFit, Gain]]
