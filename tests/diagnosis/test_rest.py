@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 import sklearn.ensemble  # noqa: F401  # before the limit of its threads: what is loaded later has none
-from diagnosis.planted import NOISE_NM, based, left, nothing, runs
+from diagnosis.planted import NOISE_NM, based, left, nothing, planted, runs
 from threadpoolctl import threadpool_limits
 
+from fffo_drive.diagnosis.fitting import with_levels
 from fffo_drive.diagnosis.rest import REPORTED_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
 
@@ -69,6 +70,20 @@ def test_what_drifts_within_each_run_is_reported_over_time():
     """Of one run: blocks of it are kept from the trees, not whole runs, or time would never come again."""
     found = rest(lambda rows: 1.5 * SIZE_NM * np.sin(2.0 * np.pi * rows.time_s / 9.0), count=1)
     assert "time" in found.axes
+
+
+def test_a_friction_in_a_band_of_speeds_is_reported_that_one_run_alone_reaches():
+    """Its class of speeds counts it as noise, and the other runs have no such speeds."""
+    peaks_a = (0.5, 0.5, 1.2)
+    records = [planted(seed=k, peak_a=peak, begin_s=20.0 * k) for k, peak in enumerate(peaks_a)]
+    data, base = based(records)
+    speed, run = np.abs(data.rows.velocity_rps), data.rows.run
+    band = speed > speed[run < 2].max()
+    assert 0.02 < band.mean() < 0.3
+    spoiled = left(data, base, 8.0 * NOISE_NM * np.sign(data.rows.velocity_rps) * band)
+    found = rest_of(with_levels(data, spoiled), spoiled, NO_CEILING)
+    assert "velocity" in found.axes
+    assert found.rms_nm > 1.5 * found.floor_nm
 
 
 def test_a_disturbance_with_a_clock_of_its_own_is_reported_with_its_period():
