@@ -54,7 +54,12 @@ def drag(motion):
     return 3e-5 * motion.velocity_rps * np.abs(motion.velocity_rps)
 
 
-LOADS = {f.__name__: f for f in (nothing, constant, wave, waves, gravity, drag)}
+def patch(motion):
+    """Of a fifth of a turn, without a mean."""
+    return 2.0 * WAVE_NM * ((np.mod(motion.position_rev, 1.0) < 0.2) - 0.2)
+
+
+LOADS = {f.__name__: f for f in (nothing, constant, wave, waves, gravity, drag, patch)}
 
 
 @cache
@@ -312,6 +317,18 @@ def test_a_curve_stands_only_where_it_says_more_than_any_law():
     free = found("wave", "torque_offset", ablate=frozenset())
     assert names(free)[0] == "unknown:motor_angle"
     assert not names(found("wave", "torque_offset"))
+
+
+@pytest.mark.parametrize(("load", "stands"), [("wave", "cogging"), ("patch", "unknown:motor_angle")])
+def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(load, stands):
+    before = found(load, "torque_offset", ablate=frozenset())
+    assert names(before)[0] == "unknown:motor_angle"
+    search = selector("cogging", ablate=())
+    scored = scored_fit(before.data, before.fitted)
+    _, after, accepted = search._replaced_curves(before.data, scored, list(before.accepted))
+    assert after.fitted.effects[0].name == stands
+    assert [note.name for note in accepted] == [e.name for e in after.fitted.effects]
+    assert (after is scored) == (load == "patch")
 
 
 def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(monkeypatch):
