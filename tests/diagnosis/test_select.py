@@ -54,12 +54,13 @@ def drag(motion):
     return 3e-5 * motion.velocity_rps * np.abs(motion.velocity_rps)
 
 
-def patch(motion):
-    """Of a fifth of a turn, without a mean."""
-    return 2.0 * WAVE_NM * ((np.mod(motion.position_rev, 1.0) < 0.2) - 0.2)
+def peaked(motion):
+    """Of which a wave explains nine tenths, and a curve all."""
+    turns = 2.0 * np.pi * 2.0 * motion.position_rev
+    return WAVE_NM * (np.cos(turns) + 0.3 * np.cos(3.0 * turns))
 
 
-LOADS = {f.__name__: f for f in (nothing, constant, wave, waves, gravity, drag, patch)}
+LOADS = {f.__name__: f for f in (nothing, constant, wave, waves, gravity, drag, peaked)}
 
 
 @cache
@@ -319,7 +320,7 @@ def test_a_curve_stands_only_where_it_says_more_than_any_law():
     assert not names(found("wave", "torque_offset"))
 
 
-@pytest.mark.parametrize(("load", "stands"), [("wave", "cogging"), ("patch", "unknown:motor_angle")])
+@pytest.mark.parametrize(("load", "stands"), [("wave", "cogging"), ("peaked", "unknown:motor_angle")])
 def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(load, stands):
     before = found(load, "torque_offset", ablate=frozenset())
     assert names(before)[0] == "unknown:motor_angle"
@@ -328,7 +329,7 @@ def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(l
     _, after, accepted = search._replaced_curves(before.data, scored, list(before.accepted))
     assert after.fitted.effects[0].name == stands
     assert [note.name for note in accepted] == [e.name for e in after.fitted.effects]
-    assert (after is scored) == (load == "patch")
+    assert (after is scored) == (load == "peaked")
 
 
 def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(monkeypatch):
