@@ -182,15 +182,23 @@ def _fleet_work(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
 
 
 def _fleet_report(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return _of_fleet(bench, wish, "report of the fleet", "report", shelf.FLEET)
+
+
+def _fleet_diagnose(bench: Bench, wish: Mapping[str, Any]) -> CommandLine:
+    return _of_fleet(bench, wish, "diagnose drives of the fleet", "diagnose", shelf.FLEET_DRIVES)
+
+
+def _of_fleet(bench: Bench, wish: Mapping[str, Any], title: str, verb: str, stem: str) -> CommandLine:
     rate, serial = wish.get("alarms_per_drive_year"), wish.get("serial")
-    out = shelf.next_free(bench.directory, "fleet")
-    words = ["fleet", "report", bench.required_fleet(), "--out", str(out)]
+    out = shelf.next_free(bench.directory, stem)
+    words = ["fleet", verb, bench.required_fleet(), "--out", str(out)]
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not rate > 0.0:
         raise DocumentError("alarms per drive and year: a number above 0")
     words.append(f"--alarms-per-drive-year={rate:g}")
     if serial:
         words.append(f"--serial={serial}")  # one word: a name may begin with a dash
-    return CommandLine("report of the fleet", tuple(words), out)
+    return CommandLine(title, tuple(words), out)
 
 
 def _model(bench: Bench, wish: Mapping[str, Any]) -> str:
@@ -215,6 +223,7 @@ ACTIONS: dict[str, PageAction] = {
     "fleet_add": PageAction("move", _fleet_add, computes=True),
     "fleet_work": PageAction("move", _fleet_work, computes=True),
     "fleet_report": PageAction("move", _fleet_report, computes=True),
+    "fleet_diagnose": PageAction("move", _fleet_diagnose, computes=True),
     "adopt": PageAction("tune", _adopt),
     "roll_back": PageAction("tune", _roll_back),
 }

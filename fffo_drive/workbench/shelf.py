@@ -12,6 +12,8 @@ from typing import Any
 from ..report.page import JSON_NAME, PAGE_NAME
 
 RUNS = "runs"
+FLEET = "fleet"  # directories of a fleet's reports, and ...
+FLEET_DRIVES = "fleet_drives"  # ... of its drives, with a page of each beneath
 RECORDINGS = (".mcap", ".csv", ".csv.gz", ".tsv", ".txt", ".mat")
 
 
@@ -33,9 +35,17 @@ def recordings(directory: Path, given: tuple[Path, ...]) -> list[dict[str, Any]]
 
 
 def pages(directory: Path) -> list[dict[str, Any]]:
-    """Every report under the directory, the newest first: what it found, how sure, what to do, and where it is."""
-    found = sorted(((path.stat().st_mtime_ns, path) for path in directory.glob(f"**/{JSON_NAME}")), reverse=True)
+    """Every report under the directory, the newest first: what it found, how sure, what to do, and where it is.
+
+    Without those of a fleet's drives, whose models are not for this axis: the fleet's page has links to them.
+    """
+    own = (path for path in directory.glob(f"**/{JSON_NAME}") if not _is_of_a_drive(path.relative_to(directory)))
+    found = sorted(((path.stat().st_mtime_ns, path) for path in own), reverse=True)
     return [one for time_ns, path in found if (one := _page(directory, path, time_ns)) is not None]
+
+
+def _is_of_a_drive(report: Path) -> bool:
+    return report.parts[0].startswith(f"{FLEET_DRIVES}_") and len(report.parts) > 2
 
 
 @lru_cache(maxsize=1000)

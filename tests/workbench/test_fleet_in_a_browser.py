@@ -68,7 +68,13 @@ def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_
     assert histories == {f"SN{OUTSIDE}"}
     assert report["results"]["moved"]  # the watch went over each model
     shown.is_found_by_a_screen_reader_and_fits_a_narrow_screen()
-    shown.page.click("#tab-work")  # a fleet's report is no step of this axis
+    line = shown.do("#fleet-diagnose", by_key=True)["line"]
+    assert line.startswith("fffo-drive fleet diagnose ")
+    assert line.endswith(f"--serial=SN{OUTSIDE}")
+    shown.until("document.querySelector('#fleet-viewer').src.endsWith('fleet_drives_1/report.html')")
+    now = next(shown.server.bench.directory.glob("fleet_drives_1/*/*/now"))
+    assert json.loads((now / "report.json").read_text())["kind"] == "diagnose"
+    shown.page.click("#tab-work")  # no report of a fleet is a step of this axis, nor is one of its drives
     assert shown.page.locator("#pages tbody tr").count() == 0
     assert shown.page.is_visible("#job-title")
 
@@ -88,7 +94,7 @@ def test_a_drive_of_the_list_is_the_one_whose_history_is_drawn_and_a_wrong_name_
 def test_who_only_looks_sees_the_store_and_can_press_nothing(fleet, facts_file, chromium, tmp_path):  # noqa: F811
     shown = FleetPage(chromium, tmp_path, fleet, facts_file, role="look")
     assert "100 % done" in shown.page.text_content("#fleet-status")
-    for button in ("#fleet-add", "#fleet-work", "#fleet-report"):
+    for button in ("#fleet-add", "#fleet-work", "#fleet-report", "#fleet-diagnose"):
         assert shown.page.is_disabled(button)
     shown.close()
 

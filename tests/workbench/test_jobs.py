@@ -132,6 +132,6 @@ def test_what_only_computes_gives_way_and_what_runs_a_loop_does_not():
         assert os.sched_getscheduler(process.pid) == os.SCHED_BATCH
         process.kill()
     give_way(process.pid)  # gone: no error
-    computing = {"identify", "diagnose", "compare", "tune", "fleet_add", "fleet_work", "fleet_report"}
+    computing = {"identify", "diagnose", "compare", "tune", "fleet_add", "fleet_work", "fleet_report", "fleet_diagnose"}
     assert {name for name, action in ACTIONS.items() if action.computes} == computing
     assert not any(action.moves or action.beside for action in ACTIONS.values() if action.computes)

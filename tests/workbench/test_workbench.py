@@ -68,6 +68,7 @@ def test_every_action_is_a_line_that_its_command_understands(workbench):
         "tune": {"model": model}, "adopt": {"model": model, "dry_run": True},
         "fleet_add": {"fit": [run]}, "fleet_work": {},
         "fleet_report": {"alarms_per_drive_year": 0.01, "serial": "-odd"},
+        "fleet_diagnose": {"alarms_per_drive_year": 0.01, "serial": "-odd"},
     }  # fmt: skip
     assert set(wishes) == set(ACTIONS) - {"commission", "serve", "simulate", "accept"}
     for name, wish in wishes.items():

@@ -7,7 +7,7 @@
   window.fffoFleet = fleet;
 
   bench.onState((state) => {
-    reports(state.pages.filter((page) => page.kind === "fleet"));
+    reports(state.pages.filter((page) => page.kind.startsWith("fleet")));
     const job = state.jobs[0], key = job ? `${job.number} ${job.state}` : ""; // at the end of a job it is looked at anew
     if ($("fleet").hidden || (key === fleet.job && performance.now() - fleet.askedMs < LOOK_MS)) return;
     Object.assign(fleet, { job: key, askedMs: performance.now() });

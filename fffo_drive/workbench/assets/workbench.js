@@ -2,8 +2,8 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const BUSY_MS = 1000, IDLE_MS = 2000;
-  const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model", fleet_add: "h-store", fleet_work: "h-store", fleet_report: "h-fleet-report" };
-  const FLEET = ["fleet_add", "fleet_work", "fleet_report"];
+  const STEP_OF = { commission: "h-axis", accept: "h-checks", record: "h-record", identify: "h-runs", tune: "h-model", diagnose: "h-runs", adopt: "h-model", fleet_add: "h-store", fleet_work: "h-store", fleet_report: "h-fleet-report", fleet_diagnose: "h-fleet-report" };
+  const FLEET = ["fleet_add", "fleet_work", "fleet_report", "fleet_diagnose"];
   const chosen = { use: new Set(), hold: new Set(), seen: new Set(), page: "", job: 0 };
   const KIND_OF = { identify: "identify", tune: "tune", diagnose: "diagnose", compare: "evaluate", circle: "close-the-loop" };
   const SAYS = ["adopt", "roll_back", "commission", "accept", "fleet_add", "fleet_work"]; // what they print is the result
@@ -116,7 +116,7 @@
     }));
   }
 
-  const axisPages = () => state.pages.filter((page) => page.kind !== "fleet"); // those have their tab
+  const axisPages = () => state.pages.filter((page) => !page.kind.startsWith("fleet")); // those have their tab
 
   function pages() {
     const results = axisPages();
@@ -167,7 +167,7 @@
     if (act === "record") return { motion: $("motion").value, toggle: $("toggle").value };
     if (act === "circle") return { quick: $("quick").checked };
     if (act === "identify" || act === "compare" || act === "fleet_add") return { fit: [...chosen.use] };
-    if (act === "fleet_report") return { alarms_per_drive_year: Number($("fleet-rate").value), serial: $("fleet-serial").value.trim() };
+    if (act === "fleet_report" || act === "fleet_diagnose") return { alarms_per_drive_year: Number($("fleet-rate").value), serial: $("fleet-serial").value.trim() };
     if (act === "diagnose") return { fit: [...chosen.use], held_out: [...chosen.hold] };
     if (act === "tune") return { model: $("model").value };
     if (act === "adopt") return { model: $("model").value, dry_run: Boolean(button.dataset.dry) };
