@@ -209,7 +209,7 @@ def on_command(effect: Effect | Term) -> bool:
     return law_of(effect.name).acts_on == "command"
 
 
-def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> list[Slot]:
+def slots_of(effects: Sequence[Effect], turns: float) -> list[Slot]:
     """Every fitted number of the effects."""
     found = []
     for number, effect in enumerate(effects):
@@ -218,7 +218,7 @@ def slots_of(effects: Sequence[Effect], turns: float, shapes: bool = True) -> li
             if p.name in effect.strengths:
                 values = effect.strengths[p.name]
                 runs = range(values.size) if p.name in effect.per_run else [-1]
-            elif p.kind == SHAPE and shapes and not (p.held or p.is_off(effect.shapes)):
+            elif p.kind == SHAPE and not (p.held or p.is_off(effect.shapes)):
                 runs = [-1]
             else:
                 continue
@@ -267,15 +267,15 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
     return matrix
 
 
-def fit(
-    data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, shapes: bool = True,
-    free_base: bool = True,
-) -> Fitted:  # fmt: skip
-    """Fit base and effects from a start."""
+def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, datum_alone: bool = False) -> Fitted:
+    """Fit base and effects from a start; `datum_alone`: only the strengths with a datum per run."""
     best, scenes = evaluate(data, start, effects)
     turns = data.rows.turns
-    numbers = slots_of(effects, turns, shapes)
-    count = len(BASE) if free_base else 0
+    numbers = slots_of(effects, turns)
+    count = len(BASE)
+    if datum_alone:
+        numbers = [slot for slot in numbers if slot.name in effects[slot.effect].per_run]
+        count = 0
     prior = data.prior or wide_prior(data.start)
     centre, precision = prior.centre, prior.weighed(data.used.size)[:count, :count]
     damping, change = 1e-4, np.inf
@@ -297,7 +297,7 @@ def fit(
             step = _solve(hessian, gradient, damping)
             if 0.5 * float(gradient @ step) < CONVERGED * best.loss * best.white.size:
                 break
-            physical = stepped(best.physical, step[:count], data.free) if free_base else best.physical
+            physical = stepped(best.physical, step[:count], data.free) if count else best.physical
             moved_effects: Sequence[Effect] = best.effects
             for slot, size in zip(numbers, step[count:], strict=True):
                 limit = LARGEST_LOG if slot.logarithmic else np.inf

@@ -44,7 +44,7 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
     """The model with each periodic effect's datum fitted on the first part of each run; rows that may be scored.
     (m,)
 
-    The datum is a phase; the amplitude comes from the fit runs.
+    The datum is a phase; the amplitude and all other numbers come from the fit runs.
     """
     scored = np.ones(data.rows.time_s.size, dtype=bool)
     data = at_rest(data, fitted.physical, fitted.effects)
@@ -63,7 +63,7 @@ def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:
     sizes = [effect.sizes() for effect in fitted.effects]
     early = _early(data, fitted.physical, [effect for effect in effects if effect.per_run])
     part = data._replace(weight=np.where(early, data.weight, 0.0))
-    found = fit(part, fitted.physical, effects, shapes=False, free_base=False)
+    found = fit(part, fitted.physical, effects, datum_alone=True)
     effects = [effect.of_sizes(size) for effect, size in zip(found.effects, sizes, strict=True)]
     data = at_rest(data, fitted.physical, effects)
     return evaluate(data, fitted.physical, effects)[0], ~early

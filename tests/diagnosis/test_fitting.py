@@ -1,5 +1,6 @@
 """The fit of base and effects together: right slopes, the truth of a known axis, and a prior where data say nothing."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -144,11 +145,19 @@ def test_noise_has_a_level_of_its_own_in_each_class_of_speed_and_in_presliding()
     assert np.unique(np.round(weight[near], 6)).size > 1  # presliding apart
 
 
-def test_a_shape_is_held_where_it_is_asked_to_be_and_strengths_stay_in_their_bounds():
+def test_only_the_datum_is_fitted_where_that_is_asked():
     data, base = offset_axis()
-    wave = effect("cogging", {"cos_nm": 1e-3, "sin_nm": 0.0}, order=3.03)
-    assert fit(data, base.physical, [wave], shapes=False).effects[0].shapes["order"] == 3.03
-    assert fit(data, base.physical, [wave], free_base=False).physical is base.physical
+    strengths = {"cos_nm": np.full(data.runs, 1e-3), "sin_nm": np.zeros(data.runs)}
+    wave = replace(effect("cogging", {}, order=3.03), strengths=strengths, per_run=frozenset(strengths))
+    offset = effect("torque_offset", {"torque_nm": 0.0})  # the truth has one
+    found = fit(data, base.physical, [wave, offset], datum_alone=True)
+    assert found.physical is base.physical
+    assert found.effects[0].shapes == wave.shapes
+    assert found.effects[1].strengths["torque_nm"][0] == 0.0
+    assert (found.effects[0].strengths["cos_nm"] != 1e-3).all()
+
+
+def test_strengths_stay_in_their_bounds():
     share = effect("elasticity", {"share": 0.85}, frequency_hz=40.0, damping=0.03)
     slot = next(s for s in slots_of([share], 1.0) if s.name == "share")
     assert changed([share], slot, 5.0)[0].strengths["share"][0] == 0.9

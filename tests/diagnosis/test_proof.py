@@ -144,6 +144,11 @@ def test_a_datum_is_found_on_the_first_part_of_a_run_and_the_rest_is_scored():
         assert not part[:first].any()
         assert part[first:].all()
         assert DATUM_SHARE <= (first + 1) / part.size <= DATUM_MOST + 0.01
+    # the held-out runs have no offset, and do not take it out of the model
+    offset = Effect("torque_offset", {}, {"torque_nm": np.array([WAVE_NM])})
+    beside, _ = with_own_datum(data, model._replace(effects=(*model.effects, offset)))
+    assert beside.effects[1].strengths["torque_nm"][0] == WAVE_NM
+    assert beside.physical is base.physical
     # what lies behind the first part does not move the datum
     late = [np.where(scored, 0.0, data.weight)]
     again, _ = with_own_datum(data._replace(weight=late[0]), model)
