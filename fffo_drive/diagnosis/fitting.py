@@ -252,8 +252,9 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
     for k, effect in enumerate(effects):
         if law_of(effect.name).name == LOOKUP:
             own = [column for column, slot in enumerate(numbers) if slot.effect == k]
-            parts = [curve_columns(scene, effect.name, effect.shapes, rows.laws) for scene in scenes]
-            matrix[:, own] = np.concatenate(parts)
+            if own:
+                parts = [curve_columns(scene, effect.name, effect.shapes, rows.laws) for scene in scenes]
+                matrix[:, own] = np.concatenate(parts)
         else:
             base[k] = load_rows(rows, scenes, effect)
 

@@ -18,7 +18,7 @@ from .base import NAMES
 from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, torque_of, with_levels
 from .gates import needed_rows
 from .results import ErrorFigures, Interval
-from .rows import Filter, rows_of, stretches_of
+from .rows import DiagnosisRows, Filter, rows_of, stretches_of
 from .scenes import Effect
 
 Floats = npt.NDArray[np.float64]
@@ -27,17 +27,32 @@ Mask = npt.NDArray[np.bool_]
 DRAWS = 400
 SDS = 2.0  # of the paired difference, beyond which a model counts as worse
 WINDOWS_S = (0.25, 0.5)  # windows over which velocity errors are counted
+HISTORY_SHARE = 0.01  # of a stretch's travel, during which the friction's state is unknown
 DATUM_SHARE = 0.3  # share of a run, and of a periodic effect in it, that its datum is fitted on ...
 DATUM_MOST = 0.7  # ... and at most this share of the run; the rest is scored
 
 
 def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
-    """Rows of other records, with the base model's noise levels on them."""
+    """Rows of other records, with the base model's noise levels on them; those of an unknown history do not count."""
     stretches = stretches_of(records, filter_)
     rows = rows_of(stretches, filter_)
+    rows = rows._replace(kept=rows.kept & of_known_history(rows))
     data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), base.physical)
     data = at_rest(data, base.physical, ())
     return with_levels(data, evaluate(data, base.physical, ())[0])
+
+
+def of_known_history(rows: DiagnosisRows) -> Mask:
+    """Rows after the first HISTORY_SHARE of each stretch's travel. (m,)
+
+    Until then friction depends on the motion before the log. A log that begins slowly has a tenth of its rows there,
+    and on five surfaces up to nine tenths of the squared error.
+    """
+    known = np.zeros(rows.kept.size, dtype=bool)
+    for begin, end in rows.bounds:
+        travel = np.cumsum(np.abs(rows.velocity_rps[begin:end]))
+        known[begin:end] = travel >= HISTORY_SHARE * travel[-1]
+    return known
 
 
 def with_own_datum(data: Data, fitted: Fitted) -> tuple[Fitted, Mask]:

@@ -10,13 +10,14 @@ from fffo_drive.diagnosis.fitting import Fitted, fit
 from fffo_drive.diagnosis.proof import (
     DATUM_MOST,
     DATUM_SHARE,
+    HISTORY_SHARE,
     Proof,
     data_of,
     error_figures,
     velocity_squares,
     with_own_datum,
 )
-from fffo_drive.diagnosis.rows import make_filter
+from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
 from fffo_drive.diagnosis.scenes import Effect
 
 OFFSET_NM = 0.006
@@ -122,6 +123,18 @@ def test_the_error_in_velocity_is_what_the_torque_that_is_left_makes_of_a_window
     halved = kept.copy()
     halved[: kept.size // 2] = False
     assert 0 < velocity_squares(whole, ramp, inertia, halved).size < found.size
+
+
+def test_the_first_hundredth_of_a_stretchs_travel_is_not_scored():
+    _, base, _ = fitted(nothing)
+    records, filter_ = held_out(), make_filter(PERIOD_S)
+    before, after = rows_of(stretches_of(records, filter_), filter_), data_of(records, filter_, base).rows
+    for begin, end in after.bounds:
+        travel = np.cumsum(np.abs(after.velocity_rps[begin:end]))
+        known = travel >= HISTORY_SHARE * travel[-1]
+        assert 0.0 < np.mean(~known) < 0.2
+        assert not after.kept[begin:end][~known].any()
+        assert (after.kept == before.kept)[begin:end][known].all()
 
 
 def test_a_datum_is_found_on_the_first_part_of_a_run_and_the_rest_is_scored():
