@@ -332,6 +332,16 @@ def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(l
     assert (after is scored) == (load == "peaked")
 
 
+def test_a_curve_is_held_where_only_a_datum_is_fitted():
+    selection = found("wave", "torque_offset", ablate=frozenset())
+    curve = selection.fitted.effects[0]
+    strengths = {"cos_nm": np.full(2, 1e-4), "sin_nm": np.zeros(2)}
+    wave = replace(effect("cogging", {}, order=3.0), strengths=strengths, per_run=frozenset(strengths))
+    own = fit(selection.data, selection.fitted.physical, [wave, curve], datum_alone=True)
+    assert own.effects[1] is curve
+    assert (own.effects[0].strengths["cos_nm"] != 1e-4).all()
+
+
 def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(monkeypatch):
     """Beside a base that is biased without it a law may look like chance; a curve is the same before and after."""
     proposals = Search.proposals
