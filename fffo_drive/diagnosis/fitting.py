@@ -23,6 +23,7 @@ from ..model.effects.table import Term, effects_along
 from .base import (
     BASE,
     NAMES,
+    RIGID,
     Along,
     BasePrior,
     along,
@@ -142,6 +143,13 @@ def torque_of(data: Data, scenes: Sequence[Scene], effects: Sequence[Effect]) ->
     return found
 
 
+def rigid_of(data: Data) -> Data:
+    """The data with a rigid base: friction of one level."""
+    start = data.start.copy()
+    start[NAMES.index("static_nm")] = start[NAMES.index("coulomb_nm")]
+    return data._replace(free=RIGID, start=start)
+
+
 def with_levels(data: Data, fitted: Fitted) -> Data:
     """The data with noise levels from this model's residual, by speed class; presliding is a class of its own."""
     speed = np.abs(data.rows.velocity_rps)
@@ -180,6 +188,12 @@ def _scenes(data: Data, physical: Floats, effects: Sequence[Effect], models: Seq
     if not carried or not any(law_of(e.name).feedforward is not None for e in effects):
         return scenes
     return scenes_of(data.stretches, physical, models, loads_of(scenes, carried))
+
+
+def load_of(data: Data, fitted: Fitted, number: int) -> Floats:
+    """White torque of one effect. (q,)"""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    return data.white(load_rows(data.rows, scenes, fitted.effects[number]))
 
 
 def at_rest(data: Data, physical: Floats, effects: Sequence[Effect]) -> Data:
@@ -225,6 +239,11 @@ def slots_of(effects: Sequence[Effect], turns: float) -> list[Slot]:
             step = p.step_at(effect.shapes, turns)
             found += [Slot(number, p.name, run, step, p.logarithmic, p.unit == PER_TURN) for run in runs]
     return found
+
+
+def numbers_of(fitted: Fitted) -> int:
+    """Free numbers of all effects."""
+    return len(slots_of(fitted.effects, 1.0))
 
 
 def changed(effects: Sequence[Effect], slot: Slot, step: float) -> list[Effect]:

@@ -33,7 +33,7 @@ from ..identification.runs import CONTRADICTION_SHARE
 from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
 from ..model.effects.registry import LAWS, law_of
-from .base import NAMES, RIGID
+from .base import NAMES
 from .fitting import (
     Data,
     Fitted,
@@ -42,7 +42,10 @@ from .fitting import (
     evaluate,
     fit,
     jacobian,
+    load_of,
+    numbers_of,
     on_command,
+    rigid_of,
     share_gone,
     slots_of,
     torque_of,
@@ -50,7 +53,7 @@ from .fitting import (
 )
 from .gates import ReferenceAxis, implausibility, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
-from .scenes import Effect, load_rows, strength_columns
+from .scenes import Effect, strength_columns
 
 Floats = npt.NDArray[np.float64]
 
@@ -316,10 +319,8 @@ class Selector:
         """
         for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
             others = [k for k, note in enumerate(accepted) if note.name != name]
-            left = [scored.fitted.effects[k] for k in others]
-            found = self._round(
-                *renewed(data, fit(data, scored.fitted.physical, left)), [accepted[k] for k in others], LAW_RUNG
-            )
+            left = fit(data, scored.fitted.physical, [scored.fitted.effects[k] for k in others])
+            found = self._round(*renewed(data, left), [accepted[k] for k in others], LAW_RUNG)
             if found is None or any(effect.name == name for effect in found[1].fitted.effects):
                 continue
             fitted = found[1].fitted
@@ -459,7 +460,8 @@ class Selector:
         """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
         own = columns_of(data, scored, number)
         others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
-        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load_of(data, scored, number))
+        load = load_of(data, scored.fitted, number)
+        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load)
         return min(1.0, found.p * tried) if found.rank else otherwise
 
 
@@ -518,11 +520,6 @@ def without(data: Data, scored: ScoredFit, numbers: Sequence[int], refit: bool) 
     return ScoredFit(moved, others, unseen_loss(target, others, data.folds))
 
 
-def numbers_of(fitted: Fitted) -> int:
-    """Free numbers of all effects."""
-    return len(slots_of(fitted.effects, 1.0))
-
-
 def columns_of(data: Data, scored: ScoredFit, number: int) -> slice:
     """The effect's columns in the matrix of everything that is fitted."""
     slots = slots_of(scored.fitted.effects, data.rows.turns)
@@ -546,12 +543,6 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
     return again if again.loss < found.loss else found
 
 
-def load_of(data: Data, scored: ScoredFit, number: int) -> Floats:
-    """White torque of one effect. (q,)"""
-    scenes = consistent_scenes(data, scored.fitted.physical, scored.fitted.effects)
-    return data.white(load_rows(data.rows, scenes, scored.fitted.effects[number]))
-
-
 def _set_aside(scored: ScoredFit, number: int) -> list[int]:
     """Effects that one effect is not judged beside: free curves for one of the first rungs, as they hold a constant."""
     effects = scored.fitted.effects
@@ -564,7 +555,7 @@ def _variation(data: Data, scored: ScoredFit, number: int) -> float:
     """Coefficient of variation of an effect's strength over the blocks."""
     left_out = [columns_of(data, scored, k) for k in (number, *_set_aside(scored, number))]
     beside = np.delete(scored.matrix, np.concatenate([np.r_[part] for part in left_out]), axis=1)
-    load = load_of(data, scored, number)
+    load = load_of(data, scored.fitted, number)
     return strength_variation(load, beside, scored.fitted.white, data.folds)
 
 
@@ -573,13 +564,6 @@ def starting_effect(name: str, facts: DriveFacts) -> Effect:
     law = law_of(name)
     shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
     return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
-
-
-def rigid_of(data: Data) -> Data:
-    """The data with a rigid base: friction of one level."""
-    start = data.start.copy()
-    start[NAMES.index("static_nm")] = start[NAMES.index("coulomb_nm")]
-    return data._replace(free=RIGID, start=start)
 
 
 def base_of(data: Data) -> Fitted:

@@ -137,8 +137,8 @@ def test_what_the_base_can_say_is_none_of_the_ladder():
         replace(one, position_rev=one.position_rev[inner], current_a=one.current_a[inner]) for one in whole
     ])  # fmt: skip
     search = selector("torque_offset")
-    assert not search._distinct(one_way._replace(free=select.RIGID), "torque_offset")
-    assert search._distinct(data_with("constant")._replace(free=select.RIGID), "torque_offset")
+    assert not search._distinct(one_way._replace(free=RIGID), "torque_offset")
+    assert search._distinct(data_with("constant")._replace(free=RIGID), "torque_offset")
     assert names(search.run(one_way)) == []
     search = selector("torque_offset")
     assert len(search._ladder(data_with("constant"))[2]) == 1
