@@ -53,7 +53,7 @@ from .fitting import (
 )
 from .gates import ReferenceAxis, implausibility, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
-from .scenes import Effect, strength_columns
+from .scenes import starting_effect, strength_columns
 
 Floats = npt.NDArray[np.float64]
 
@@ -319,8 +319,12 @@ class Selector:
         """
         for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
             others = [k for k, note in enumerate(accepted) if note.name != name]
+            if len(others) == len(accepted):
+                continue  # it went with another curve
             left = fit(data, scored.fitted.physical, [scored.fitted.effects[k] for k in others])
+            ratios = self.inertia_ratios
             found = self._round(*renewed(data, left), [accepted[k] for k in others], LAW_RUNG)
+            self.inertia_ratios = ratios  # without the curve, runs may seem to contradict each other
             if found is None or any(effect.name == name for effect in found[1].fitted.effects):
                 continue
             fitted = found[1].fitted
@@ -557,13 +561,6 @@ def _variation(data: Data, scored: ScoredFit, number: int) -> float:
     beside = np.delete(scored.matrix, np.concatenate([np.r_[part] for part in left_out]), axis=1)
     load = load_of(data, scored.fitted, number)
     return strength_variation(load, beside, scored.fitted.white, data.folds)
-
-
-def starting_effect(name: str, facts: DriveFacts) -> Effect:
-    """A law of zero strength at its proposed shape."""
-    law = law_of(name)
-    shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
-    return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
 
 
 def base_of(data: Data) -> Fitted:

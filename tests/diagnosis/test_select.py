@@ -13,6 +13,7 @@ from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import fit, share_gone
 from fffo_drive.diagnosis.gates import ReferenceAxis
 from fffo_drive.diagnosis.propose import LAW_RUNG, WAVE_RUNG, Proposal, Score, Search
+from fffo_drive.diagnosis.scenes import starting_effect
 from fffo_drive.diagnosis.select import (
     LAW_OF_CURVE,
     Accepted,
@@ -24,7 +25,6 @@ from fffo_drive.diagnosis.select import (
     refitted,
     scored_fit,
     settled,
-    starting_effect,
     without,
 )
 from fffo_drive.identification.criterion import SMALLEST_P, Gain, gain
