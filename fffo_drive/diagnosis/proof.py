@@ -33,20 +33,20 @@ DATUM_MOST = 0.7  # ... and at most this share of the run; the rest is scored
 
 
 def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
-    """Rows of other records, with the base model's noise levels on them; those of an unknown history do not count."""
+    """Rows of other records, with the base model's noise levels on them; rows whose history is unknown do not count."""
     stretches = stretches_of(records, filter_)
     rows = rows_of(stretches, filter_)
-    rows = rows._replace(kept=rows.kept & of_known_history(rows))
+    rows = rows._replace(kept=rows.kept & with_known_history(rows))
     data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), base.physical)
     data = at_rest(data, base.physical, ())
     return with_levels(data, evaluate(data, base.physical, ())[0])
 
 
-def of_known_history(rows: DiagnosisRows) -> Mask:
+def with_known_history(rows: DiagnosisRows) -> Mask:
     """Rows after the first HISTORY_SHARE of each stretch's travel. (m,)
 
-    Until then friction depends on the motion before the log. A log that begins slowly has a tenth of its rows there,
-    and on five surfaces up to nine tenths of the squared error.
+    Until then friction depends on the motion before the log. Where a log begins slowly, up to a fifth of its rows lie
+    there; on five surfaces they held up to nine tenths of the squared error.
     """
     known = np.zeros(rows.kept.size, dtype=bool)
     for begin, end in rows.bounds:

@@ -313,9 +313,9 @@ class Selector:
     def _replaced_curves(
         self, data: Data, scored: ScoredFit, accepted: list[Accepted]
     ) -> tuple[Data, ScoredFit, list[Accepted]]:
-        """Put a law in the place of each free curve that unseen rows do not prefer to it.
+        """Put a law in the place of each free curve, unless unseen rows prefer the curve.
 
-        A curve that was accepted before another effect had absorbed part of it, and no law could do that.
+        A curve accepted before another effect had absorbed part of that effect, and no law could do so.
         """
         for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
             others = [k for k, note in enumerate(accepted) if note.name != name]
