@@ -33,7 +33,7 @@ from .pictures import ceiling, picture, run_figures
 from .proof import Proof, error_figures, inertia_of
 from .propose import WAVE_RUNG
 from .rest import refused_rest, rest_of
-from .results import Ceiling, Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord, in_words_of_axis
+from .results import Diagnosis, ErrorFigures, Finding, Number, Rest, Rival, VerdictWord, in_words_of_axis
 from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector
@@ -113,11 +113,7 @@ def diagnose(
         tell(0.1, "search")
         selector = Selector(facts, settings, lambda share, text: tell(0.1 + 0.65 * share, text))
         selected = selector.run(data)
-        tell(0.75, "what is left")
-        repeats = ceiling(selected.data, selected.base, selected.fitted)
-        rest = rest_of(selected.data, selected.fitted, repeats)
-        tell(0.85, "proof")
-        found = assemble(fit, held_out, facts, selected, repeats, rest, settings, look, tell)
+        found = assemble(fit, held_out, facts, selected, settings, look, tell)
     tell(1.0, "done")
     return replace(in_words_of_axis(found), seconds=time.monotonic() - begin, prior=prior)
 
@@ -130,17 +126,44 @@ def runs_look(records: Sequence[Record]) -> RunsLook | None:
         return None
 
 
+def proven(selected: Selection, held_out: Sequence[Record]) -> tuple[Selection, Proof | None, str]:
+    """The selection that carries over to the held-out runs, its proof, and where even this one is worse.
+
+    Where the whole model is worse, the first rungs are tried alone: what fails may stand above them. Which model is
+    tried is fixed before; nothing is chosen on held-out runs.
+    """
+    if not held_out:
+        return selected, None, ""
+    proof = proof_of(selected, held_out)
+    worse = proof.worse()
+    if worse and selected.ladder.accepted:
+        lower = selected.of_first_rungs(f"does not carry over: {worse}")
+        below = proof_of(lower, held_out)
+        if not below.worse():
+            return lower, below, ""
+    return selected, proof, worse
+
+
+def proof_of(selected: Selection, held_out: Sequence[Record]) -> Proof:
+    """The proof of a selection."""
+    return Proof(held_out, selected.data.rows.filter, selected.base, selected.ladder.fitted, selected.fitted)
+
+
 def assemble(
-    fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection, repeats: Ceiling,
-    rest: Rest | None, settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
+    fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, selected: Selection,
+    settings: DiagnosisSettings, look: RunsLook | None, tell: Progress,
 ) -> Diagnosis:  # fmt: skip
-    """Assemble the report of a selection."""
+    """Prove a selection, and assemble the report of what carries over."""
+    tell(0.75, "proof")
+    selected, proof, worse = proven(selected, held_out)
+    tell(0.8, "what is left")
     data, base, fitted = selected.data, selected.base, selected.fitted
-    proof = Proof(held_out, data.rows.filter, base, selected.ladder, fitted) if held_out else None
-    worse = proof.worse() if proof is not None else ""
+    repeats = ceiling(data, base, fitted)
     if worse:  # the base model stays in force, so its residual is what remains
         axes = tuple(dict.fromkeys(axis_of_effect(effect.name) for effect in fitted.effects))
         rest = rest_of(data, base, ceiling(data, base, base)) or refused_rest(data, base, fitted, axes[:2])
+    else:
+        rest = rest_of(data, fitted, repeats)
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
@@ -157,7 +180,7 @@ def assemble(
     accepted = [f for f in findings if f.accepted]
     remarks = contradictions(selected, fit)
     verdict, headline = verdict_of(accepted, worse, rest, remarks)
-    needed = needed_rows(data, selected.ladder)
+    needed = needed_rows(data, selected.ladder.fitted)
     base_sd = standard_deviations(data, base, base_matrix, selected.negligible_nm)
     return Diagnosis(
         verdict=verdict,
@@ -165,8 +188,8 @@ def assemble(
         findings=tuple(findings),
         before=proof.before if proof else None,
         after=proof.after if proof else None,
-        fit_before=error_figures(data, base, needed, inertia_of(selected.ladder)),
-        fit_after=error_figures(data, fitted, needed, inertia_of(selected.ladder)),
+        fit_before=error_figures(data, base, needed, inertia_of(selected.ladder.fitted)),
+        fit_after=error_figures(data, fitted, needed, inertia_of(selected.ladder.fitted)),
         ceiling=repeats,
         channels=lives,
         runs=(

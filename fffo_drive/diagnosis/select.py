@@ -19,10 +19,7 @@ import numpy.typing as npt
 from ..identification.criterion import (
     Folds,
     Gain,
-    clipped,
     gain,
-    huber,
-    robust_residual,
     strength_variation,
     unseen_loss,
 )
@@ -37,7 +34,6 @@ from .base import NAMES
 from .fitting import (
     Data,
     Fitted,
-    at_rest,
     consistent_scenes,
     evaluate,
     fit,
@@ -47,21 +43,25 @@ from .fitting import (
     on_command,
     rigid_of,
     share_gone,
-    slots_of,
-    torque_of,
-    with_levels,
 )
 from .gates import ReferenceAxis, implausibility, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import starting_effect, strength_columns
+from .scored import (
+    LADDER_ITERATIONS,
+    ScoredFit,
+    base_of,
+    columns_of,
+    renewed,
+    scored_fit,
+    settled,
+    without,
+)
 
 Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
-ROUNDS = 8  # largest number of refits until noise levels and model agree ...
-SETTLED = 0.1  # ... which they do when the model moves by less than this, in noise levels
 ITERATIONS = 6  # of a contender's fit ...
-LADDER_ITERATIONS = 8  # ... and of a fit of the first rungs
 TRIED = 12  # proposals whose gain is computed ...
 TRIED_A_KIND = 2  # ... at most this many of one kind on a rung ...
 REFITTED = 4  # ... of them, laws that are refitted, those beyond chance first ...
@@ -69,14 +69,6 @@ CURVES_REFITTED = 2  # ... and curves that are refitted
 KEPT = 0.75  # a refit that keeps less of its promised gain is repeated from another start
 LAW_OF_CURVE = 0.75  # a law with more than this share of a curve's gain takes precedence over it
 LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
-
-
-class ScoredFit(NamedTuple):
-    """A hypothesis with the figures for its comparison."""
-
-    fitted: Fitted
-    matrix: Floats  # (q, p) white sensitivities of everything that is fitted
-    unseen: Floats  # (q,) loss of each row under a fit of the other folds
 
 
 class Contender(NamedTuple):
@@ -109,6 +101,19 @@ class Refused(NamedTuple):
     p: float
 
 
+class FirstRungs(NamedTuple):
+    """The model of the ladder's first rungs, and the evidence for it at its noise levels."""
+
+    data: Data
+    scored: ScoredFit
+    accepted: tuple[Accepted, ...]
+
+    @property
+    def fitted(self) -> Fitted:
+        """The model."""
+        return self.scored.fitted
+
+
 class Selection(NamedTuple):
     """The selected model, and the evidence for it."""
 
@@ -120,9 +125,19 @@ class Selection(NamedTuple):
     refused: tuple[Refused, ...]
     first: tuple[Proposal, ...]  # all candidates of the first free round, best first
     first_p: float  # smallest p-value of that round, times the number of candidates
-    ladder: Fitted  # of the first rungs
+    ladder: FirstRungs
     inertia_ratios: tuple[float, ...]  # of each run, where the runs contradict each other in the inertia
     negligible_nm: float  # rms torque of a negligible effect
+
+    def of_first_rungs(self, reason: str) -> Selection:
+        """The first rungs alone; the effects above them are refused for this reason."""
+        data, scored, accepted = self.ladder
+        kept = {note.name for note in accepted}
+        gone = [Refused(n.name, reason, n.share, n.p) for n in self.accepted if n.name not in kept]
+        return self._replace(
+            data=data, base=base_of(data), fitted=scored.fitted, matrix=scored.matrix,
+            accepted=_varying(data, scored, accepted), refused=(*self.refused, *gone),
+        )  # fmt: skip
 
 
 class DiagnosisSettings(NamedTuple):
@@ -146,7 +161,7 @@ class Selector:
         self.first: tuple[Proposal, ...] = ()
         self.first_p = 1.0
         self.reference: ReferenceAxis | None = None
-        self.ladder: Fitted | None = None
+        self.ladder: FirstRungs | None = None
         self.inertia_ratios: tuple[float, ...] = ()
 
     def run(self, data: Data) -> Selection:
@@ -163,20 +178,15 @@ class Selector:
                 accepted = found[2]
                 data, scored = self._freed(whole, *found[:2])
             if rung == WAVE_RUNG:
-                self.ladder = scored.fitted
+                self.ladder = FirstRungs(data, scored, tuple(accepted))
                 self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
         data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
-        plain = base_of(data)
         assert self.ladder is not None
-        kept = {note.name for note in accepted}  # an effect found beside another cannot replace it
-        accepted = [
-            replace(one, family=tuple(n for n in one.family if n not in kept), variation=_variation(data, scored, k))
-            for k, one in enumerate(accepted)
-        ]
         return Selection(
-            data, plain, scored.fitted, scored.matrix, tuple(accepted), tuple(self.refused.values()),
-            self.first, self.first_p, self.ladder, self.inertia_ratios, self._negligible_nm,
+            data, base_of(data), scored.fitted, scored.matrix, _varying(data, scored, accepted),
+            tuple(self.refused.values()), self.first, self.first_p, self.ladder, self.inertia_ratios,
+            self._negligible_nm,
         )  # fmt: skip
 
     def _ladder(self, data: Data) -> tuple[Data, ScoredFit, list[Accepted]]:
@@ -498,40 +508,6 @@ def _linear(data: Data, scored: ScoredFit, one: Proposal, folds: Folds) -> Float
     return unseen_loss(scored.fitted.white, np.concatenate([scored.matrix, own], axis=1), folds, prior)
 
 
-def scored_fit(data: Data, fitted: Fitted) -> ScoredFit:
-    """A fit with its sensitivities and unseen losses."""
-    matrix = jacobian(data, fitted)
-    return ScoredFit(fitted, matrix, unseen_loss(fitted.white, matrix, data.folds))
-
-
-def without(data: Data, scored: ScoredFit, numbers: Sequence[int], refit: bool) -> ScoredFit:
-    """The hypothesis without some effects: the others refitted, or moved by one robust least-squares step."""
-    if not numbers:
-        return scored
-    fitted = scored.fitted
-    effects = [e for k, e in enumerate(fitted.effects) if k not in numbers]
-    if refit:
-        return scored_fit(data, fit(data, fitted.physical, effects))
-    gone = [fitted.effects[k] for k in numbers]
-    load = torque_of(data, consistent_scenes(data, fitted.physical, fitted.effects), gone)
-    own = np.concatenate([np.r_[columns_of(data, scored, k)] for k in numbers])
-    others = np.delete(scored.matrix, own, axis=1)
-    target = fitted.white + data.white(load)
-    left = robust_residual(target, others)
-    residual_nm = fitted.residual_nm.copy()
-    residual_nm[data.used] = left / data.weight[data.used]
-    moved = Fitted(fitted.physical, tuple(effects), float(huber(left).mean()), residual_nm, left)
-    return ScoredFit(moved, others, unseen_loss(target, others, data.folds))
-
-
-def columns_of(data: Data, scored: ScoredFit, number: int) -> slice:
-    """The effect's columns in the matrix of everything that is fitted."""
-    slots = slots_of(scored.fitted.effects, data.rows.turns)
-    own = [k for k, slot in enumerate(slots) if slot.effect == number]
-    first = scored.matrix.shape[1] - len(slots)
-    return slice(first + own[0], first + own[-1] + 1)
-
-
 def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_starts: bool) -> Fitted:
     """A proposal refitted with everything from the current model; `promised`: the share that its columns explain.
 
@@ -555,42 +531,18 @@ def _set_aside(scored: ScoredFit, number: int) -> list[int]:
     return [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
 
 
+def _varying(data: Data, scored: ScoredFit, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
+    """The evidence with each strength's variation; an effect found beside another cannot replace it."""
+    kept = {note.name for note in accepted}
+    return tuple(
+        replace(one, family=tuple(n for n in one.family if n not in kept), variation=_variation(data, scored, k))
+        for k, one in enumerate(accepted)
+    )
+
+
 def _variation(data: Data, scored: ScoredFit, number: int) -> float:
     """Coefficient of variation of an effect's strength over the blocks."""
     left_out = [columns_of(data, scored, k) for k in (number, *_set_aside(scored, number))]
     beside = np.delete(scored.matrix, np.concatenate([np.r_[part] for part in left_out]), axis=1)
     load = load_of(data, scored.fitted, number)
     return strength_variation(load, beside, scored.fitted.white, data.folds)
-
-
-def base_of(data: Data) -> Fitted:
-    """The base model alone, fitted from the start at the present noise levels."""
-    found = fit(data, data.start, (), LADDER_ITERATIONS)
-    for _ in range(ROUNDS):
-        before, found = found, fit(at_rest(data, found.physical, ()), found.physical, ())
-        if _moved(data, before, found) < SETTLED:
-            break
-    return found
-
-
-def settled(data: Data, fitted: Fitted) -> tuple[Data, ScoredFit]:
-    """Repeat `renewed` until noise levels and model agree."""
-    for _ in range(ROUNDS):
-        data, scored = renewed(data, fitted)
-        change, fitted = _moved(data, fitted, scored.fitted), scored.fitted
-        if change < SETTLED:
-            break
-    return data, scored
-
-
-def _moved(data: Data, before: Fitted, after: Fitted) -> float:
-    """How far a model moved: rms over the rows, in noise levels, outliers clipped."""
-    return float(np.sqrt(np.mean(clipped(data.white(after.residual_nm - before.residual_nm)) ** 2)))
-
-
-def renewed(data: Data, fitted: Fitted) -> tuple[Data, ScoredFit]:
-    """Noise levels and balance at rest of the new model, then a refit."""
-    data = at_rest(data, fitted.physical, fitted.effects)
-    begin = evaluate(data, fitted.physical, fitted.effects)[0]
-    data = with_levels(data, begin)
-    return data, scored_fit(data, fit(data, fitted.physical, fitted.effects))
