@@ -155,15 +155,15 @@ def assemble(
 ) -> Diagnosis:  # fmt: skip
     """Prove a selection, and assemble the report of what carries over."""
     tell(0.75, "proof")
+    whole = selected.fitted
     selected, proof, worse = proven(selected, held_out)
-    tell(0.8, "what is left")
     data, base, fitted = selected.data, selected.base, selected.fitted
-    repeats = ceiling(data, base, fitted)
-    if worse:  # the base model stays in force, so its residual is what remains
-        axes = tuple(dict.fromkeys(axis_of_effect(effect.name) for effect in fitted.effects))
-        rest = rest_of(data, base, ceiling(data, base, base)) or refused_rest(data, base, fitted, axes[:2])
-    else:
-        rest = rest_of(data, fitted, repeats)
+    tell(0.8, "what is left")
+    in_force = base if worse else fitted
+    repeats = ceiling(data, base, in_force)
+    rest = rest_of(data, in_force, repeats)
+    if rest is None and in_force is not whole:
+        rest = refused_rest(data, in_force, whole)
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]

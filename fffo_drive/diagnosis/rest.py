@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from ..identification.criterion import gain, huber
 from ..model.effects import slots
+from ..model.effects.registry import axis_of_effect
 from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, Rest, share_above
 from .scenes import Scene
@@ -72,12 +73,17 @@ def rest_of(data: Data, fitted: Fitted, ceiling: Ceiling) -> Rest | None:
     return Rest(rms, floor, repeats, axes, sentence)
 
 
-def refused_rest(data: Data, base: Fitted, refused: Fitted, axes: tuple[str, ...]) -> Rest | None:
+def refused_rest(data: Data, in_force: Fitted, refused: Fitted) -> Rest | None:
     """What only effects explain that do not carry over to held-out runs; None where it is small."""
     used = data.used
-    rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (base, refused))
+    rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (in_force, refused))
     if rms <= REPORTED_RATIO * floor:
         return None
+    names = [effect.name for effect in refused.effects]
+    for effect in in_force.effects:
+        if effect.name in names:
+            names.remove(effect.name)
+    axes = tuple(dict.fromkeys(axis_of_effect(name) for name in names))[:2]
     sentence = (
         f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of "
         f"the fitted runs alone: {rms:.3g} Nm rms remain, {floor:.3g} with them; "

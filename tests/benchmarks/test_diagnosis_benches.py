@@ -250,6 +250,7 @@ import common
 import numpy as np
 from calibration import drive_of
 from fffo_drive.drive.simulated.parameters import EffectConfig
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings, filter_for
 from peers import OWN, peer_rows
 from rows import rms
 
@@ -260,7 +261,8 @@ base = {"inertia_kg_m2": plant.inertia_kg_m2, "delay_s": plant.delay_s, "sensor_
         "viscous_nm_per_rps": s.viscous_nm_per_rps, "coulomb_nm": s.coulomb_nm, "static_nm": s.stiction_nm,
         "stribeck_velocity_rps": s.stribeck_rps, "stribeck_exponent": s.stribeck_exponent,
         "stiffness_per_rev": s.stiffness_per_rev, "attraction_nm_per_rev": s.attraction_nm_per_rev}
-rows = peer_rows(records, {name: [value, None] for name, value in base.items()})
+filter_ = filter_for(records, facts, DiagnosisSettings())
+rows = peer_rows(records, filter_, {name: [value, None] for name, value in base.items()})
 speed = np.abs(rows.regressors[:, 1])
 slope = float(speed @ rows.left_nm / (speed @ speed)) / s.viscous_nm_per_rps
 left = rows.left_nm - slope * s.viscous_nm_per_rps * speed

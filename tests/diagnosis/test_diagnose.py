@@ -95,6 +95,29 @@ def test_what_does_not_carry_over_is_the_headline_and_no_model_is_offered():
     assert all(finding.reason.startswith("does not carry over") for finding in page.findings)
 
 
+def geared(motion):
+    """An offset, and a wave that is no order of the motor: it stands above the ladder."""
+    return OFFSET_NM + WAVE_NM * np.cos(2.0 * np.pi * 4.7 * motion.position_rev)
+
+
+def out_of_step(motion):
+    """The same offset with the wave half a period further: only the offset carries over."""
+    return 2.0 * OFFSET_NM - geared(motion)
+
+
+def test_where_only_the_first_rungs_carry_over_they_stand_alone():
+    learnt, page = found(geared, geared), found(geared, out_of_step)
+    assert sorted(named(learnt)) == ["cogging", "torque_offset"]
+    assert page.verdict == "effects_found"
+    assert named(page) == ["torque_offset"]
+    refused = next(finding for finding in page.findings if finding.name == "cogging")
+    assert refused.reason.startswith("does not carry over: ")
+    assert "cogging" not in page.headline
+    assert [effect.name for effect in page.model_after.effects] == ["torque_offset"]
+    assert page.after.torque_rms_nm.value < page.before.torque_rms_nm.value
+    assert page.unexplained_rest is not None  # the wave
+
+
 def test_where_nothing_is_nothing_is_found():
     page = found(nothing, nothing)
     assert page.verdict == "no_effect_found"

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from fffo_drive.diagnosis.fitting import with_levels
 from fffo_drive.diagnosis.rest import REPORTED_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
+from fffo_drive.diagnosis.scenes import Effect
 
 NO_CEILING = Ceiling(None, None, None, None, "no part of the reference was repeated")
 CLOCK_S = 0.73
@@ -118,10 +119,11 @@ def test_the_sentence_says_how_much_and_how_large():
 def test_what_effects_explain_that_do_not_carry_over_is_left():
     data, base = axis()
     spoiled = left(data, base, 3.0 * NOISE_NM * np.ones(data.rows.time_s.size))
-    found = refused_rest(data, spoiled, base, ("motor_angle",))
+    wave = Effect("cogging", {"order": 5.0}, {"cos_nm": np.array([1e-3]), "sin_nm": np.zeros(1)})
+    found = refused_rest(data, spoiled, base._replace(effects=(wave,)))
     rms = [float(np.sqrt(np.mean(one.residual_nm[data.used] ** 2))) for one in (spoiled, base)]
     assert (found.rms_nm, found.floor_nm) == pytest.approx(tuple(rms))
     assert found.share == pytest.approx(1.0 - (rms[1] / rms[0]) ** 2)
     assert "the fitted runs alone" in found.sentence
     assert found.sentence.endswith("it depends on motor angle")
-    assert refused_rest(data, base, base, ("motor_angle",)) is None
+    assert refused_rest(data, base, base) is None

@@ -16,11 +16,14 @@ from blind_drives.score import wilson
 from common import ROOT, Report, finish, main, parser, shown
 from drive_folders import DriveFolder, drive_folders
 from engine import Call, accepted_of, first_names, in_parallel, residual_is_reported, write_answer
-from rows import CUTOFF_HZ, Floats, rms
+from rows import Floats, rms
 
-from fffo_drive.identification.coordinates import PARAMETERS
+from fffo_drive.diagnosis.base import NAMES, models_along
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings, filter_for
+from fffo_drive.diagnosis.fitting import Fitted, evaluate
+from fffo_drive.diagnosis.proof import data_of
+from fffo_drive.diagnosis.rows import Filter
 from fffo_drive.identification.dataset import Record
-from fffo_drive.identification.residuals import torque_residual
 from fffo_drive.units import inertia_nm_s2_per_rev
 
 NAME = "peers"
@@ -47,33 +50,26 @@ class PeerRows(NamedTuple):
     motor_nm: Floats
 
 
-def peer_rows(records: Sequence[Record], base: dict[str, list[float]]) -> PeerRows:
-    """Rows of records under a base model, standstill left out."""
+def peer_rows(records: Sequence[Record], filter_: Filter, base: dict[str, list[float]]) -> PeerRows:
+    """The rows of the diagnosis that count in its proof, thinned, under a base model."""
     value = {name: numbers[0] for name, numbers in base.items()}
     value["inertia_nm_s2_per_rev"] = inertia_nm_s2_per_rev(value["inertia_kg_m2"])
     value["delay_s"] -= value["sensor_delay_s"]
-    physical = np.array([value.get(name, 0.0) for name in PARAMETERS])
-    parts = []
-    for number, record in enumerate(records):
-        found = torque_residual(record, physical, CUTOFF_HZ)
-        position = record.position_rev[np.searchsorted(record_times(record), found.time_s - 0.5 * record.period_s)]
-        step = max(1, round(1.0 / (record.period_s * RATE_HZ)))
-        kept = np.flatnonzero(found.kept)[::step]
-        velocity = found.velocity_rps[kept]
-        turns = 2.0 * np.pi * np.outer(position[kept], ORDERS)
-        columns = [
-            found.acceleration_rps2[kept], velocity, np.tanh(velocity / SIGN_RPS), position[kept] % 1.0,
-            position[kept], found.travel_rev[kept], np.sin(turns), np.cos(turns),
-        ]  # fmt: skip
-        parts.append((
-            np.column_stack(columns), found.residual_nm[kept], np.full(kept.size, float(number)), found.torque_nm[kept],
-        ))  # fmt: skip
-    return PeerRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def record_times(record: Record) -> Floats:
-    """Stamps of a record (n,), s."""
-    return np.asarray(record.begin_s + np.arange(record.samples) * record.period_s)
+    physical = np.array([value.get(name, 0.0) for name in NAMES])
+    nothing = np.zeros(0)
+    data = data_of(records, filter_, Fitted(physical, (), 0.0, nothing, nothing))
+    rows, models = data.rows, models_along(data.stretches, physical)
+    motor_nm = np.concatenate([filter_.rows(one.torque_nm) for one in models])
+    travel_rev = rows.joined(one.travel_rev for one in models)
+    turns = 2.0 * np.pi * np.outer(rows.position_rev, ORDERS)
+    regressors = np.column_stack([
+        rows.acceleration_rps2, rows.velocity_rps, np.tanh(rows.velocity_rps / SIGN_RPS), rows.position_rev % 1.0,
+        rows.position_rev, travel_rev, np.sin(turns), np.cos(turns),
+    ])  # fmt: skip
+    left_nm = evaluate(data, physical, ())[0].residual_nm
+    step = max(1, round(1.0 / (filter_.row_period_s * RATE_HZ)))
+    kept = np.flatnonzero(rows.kept)[::step]
+    return PeerRows(regressors[kept], left_nm[kept], rows.run[kept].astype(np.float64), motor_nm[kept])
 
 
 def fit_peers(drive: DriveFolder, ours: Path, answer: Path) -> None:
@@ -82,9 +78,10 @@ def fit_peers(drive: DriveFolder, ours: Path, answer: Path) -> None:
     diagnose_folder(drive.logs, ours)
     if answer.exists():
         return
-    fit, held_out, _ = records_of(drive.logs)
+    fit, held_out, facts = records_of(drive.logs)
     base = json.loads(ours.read_text())["base"]
-    rows, held = peer_rows(fit, base), peer_rows(held_out, base)
+    filter_ = filter_for(fit, facts, DiagnosisSettings())
+    rows, held = (peer_rows(records, filter_, base) for records in (fit, held_out))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rows.npz"
         np.savez(
@@ -163,9 +160,9 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
     ]
     report.table([*header, "residual reported"], table)
     report.notes += [
-        "Errors: held-out torque residual over the command, both rms below 45 Hz. The peers fit the residual of our "
-        f"base model (inertia, delay, friction of one surface), on rows at {RATE_HZ:g} Hz without standstill; our "
-        "error is over the rows of the diagnosis. In brackets: terms (gplearn: nodes of its program) and time.",
+        "Errors: held-out torque residual over the command, both rms over the rows of our proof. The peers fit the "
+        f"residual of our base model (inertia, delay, friction of one surface) on these rows, thinned to {RATE_HZ:g} "
+        "Hz. In brackets: terms (gplearn: nodes of its program) and time.",
         f"Versions: {', '.join(line for line in _pinned() if '==' in line)}.",
     ]
     return report
