@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import Folds, clipped, sandwich_p
+from ..identification.criterion import DISTINCT, Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
 from ..identification.ranking import ranked
 from ..identification.threads import in_threads
@@ -32,7 +32,6 @@ Floats = npt.NDArray[np.float64]
 
 LONG_WAVES = 64  # half periods of a linear travel that are tried as waves
 PEAKS = 4  # lines of each spectrum that become shapes
-DISTINCT = 1e-3  # share of a column's square that must remain after the base is projected out
 COLLINEAR = 1e-8  # eigenvalue relative to the largest, below which columns of one candidate count as dependent
 WAVE_RUNG, LAW_RUNG, TABLE_RUNG = 2, 3, 4  # waves at the machine's orders; all laws and curves; tables over two axes
 SHAPES_AT_ONCE = 16  # shapes per matrix product
@@ -129,8 +128,8 @@ def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
     return _Solved(float(total @ total), turn @ total, turn)
 
 
-def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Score:
-    """Score white columns (q, k). `load` (q,): the effect's own torque, where the residual already excludes it."""
+def score(evidence: Evidence, white: Floats) -> Score:
+    """Score white columns (q, k)."""
     shared, square = evidence.basis.T @ white, white.T @ white
     found = _solved(np.diag(square), square - shared.T @ shared, evidence.residual @ white)
     if not found.turn.shape[1]:
@@ -138,15 +137,14 @@ def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Scor
     axes = white @ found.turn - evidence.basis @ (shared @ found.turn)
     residual = evidence.residual
     left = residual - axes @ (axes.T @ residual)
-    whole = residual if load is None else left + load
 
     def in_windows(values: Floats) -> Floats:
         return np.stack([np.bincount(evidence.folds.window, values * axis) for axis in axes.T], axis=1)
 
     leverage = np.bincount(evidence.folds.window, np.einsum("ij,ij->i", axes, axes)).astype(np.float64)
-    own_nm = evidence.level_nm * (axes @ (axes.T @ whole))
+    own_nm = evidence.level_nm * (axes @ (axes.T @ residual))
     negligible = evidence.negligible_nm**2 / max(float(np.mean(own_nm**2)), 1e-300)
-    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage, negligible))
+    return found.score(sandwich_p(in_windows(residual), in_windows(left), leverage, negligible))
 
 
 def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:

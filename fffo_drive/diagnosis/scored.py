@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..identification.criterion import clipped, huber, robust_residual, unseen_loss
+from ..identification.criterion import clipped, huber, robust_residual, sandwich_p, unseen_loss
 from .fitting import (
     Data,
     Fitted,
@@ -41,6 +41,25 @@ def scored_fit(data: Data, fitted: Fitted) -> ScoredFit:
     """A fit with its sensitivities and unseen losses."""
     matrix = jacobian(data, fitted)
     return ScoredFit(fitted, matrix, unseen_loss(fitted.white, matrix, data.folds))
+
+
+def chance(data: Data, alone: Fitted, beside: Fitted, numbers: int, negligible_nm: float = 0.0) -> float:
+    """p-value of the effect by which `beside` differs from `alone`: a P test (Davidson and MacKinnon, 1981).
+
+    The regressor is the torque by which the two fits differ, whichever parameters carry it. A test of the effect's own
+    numbers in `beside` may say nothing, however large the effect (Hauck and Donner, 1977): a full lag's strength is
+    then that of the delay. `numbers`: of the effect, over which the fit has chosen the best direction.
+    """
+    more = alone.white - beside.white
+    window = data.folds.window
+
+    def in_windows(values: Floats) -> Floats:
+        return np.bincount(window, values * more).astype(np.float64)
+
+    own_nm = more / data.weight[data.used]
+    negligible = negligible_nm**2 / max(float(np.mean(own_nm**2)), 1e-300)
+    with_it, left = in_windows(clipped(alone.white)), in_windows(clipped(beside.white))
+    return sandwich_p(with_it[:, None], left[:, None], in_windows(more), negligible, numbers)
 
 
 def without(data: Data, scored: ScoredFit, numbers: Sequence[int], refit: bool) -> ScoredFit:

@@ -45,12 +45,13 @@ from .fitting import (
     share_gone,
 )
 from .gates import ReferenceAxis, implausibility, objection
-from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
+from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score
 from .scenes import starting_effect, strength_columns
 from .scored import (
     LADDER_ITERATIONS,
     ScoredFit,
     base_of,
+    chance,
     columns_of,
     renewed,
     scored_fit,
@@ -409,7 +410,7 @@ class Selector:
             share = share_gone(scored.fitted, result.fitted)
             p = one.score.p * tried
             if p > self.rate:
-                p = self._chance(data, result, len(result.fitted.effects) - 1, tried, p)
+                p = self._chance(data, scored, result, len(result.fitted.effects) - 1, tried)
             if not own.holds or share < LEAST_SHARE or p > self.rate:
                 continue
             reason = objection(data, result.fitted, self.reference, self.ablate)
@@ -467,16 +468,13 @@ class Selector:
         place = number - sum(k < number for k in aside)
         return replace(
             note, gain=gain(alone.unseen, beside.unseen, data.folds),
-            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, beside, place, note.tried, note.p),
+            share=share_gone(alone.fitted, beside.fitted), p=self._chance(data, alone, beside, place, note.tried),
         )  # fmt: skip
 
-    def _chance(self, data: Data, scored: ScoredFit, number: int, tried: int, otherwise: float) -> float:
-        """p-value of one effect given all others; unchanged where they leave hardly anything of its columns."""
-        own = columns_of(data, scored, number)
-        others = np.delete(scored.matrix, np.arange(own.start, own.stop), axis=1)
-        load = load_of(data, scored.fitted, number)
-        found = score(self._evidence(data, scored.fitted, others), scored.matrix[:, own], load)
-        return min(1.0, found.p * tried) if found.rank else otherwise
+    def _chance(self, data: Data, alone: ScoredFit, beside: ScoredFit, number: int, tried: int) -> float:
+        """p-value of one effect of `beside`, over the whole search; `alone` is the model without it."""
+        own = columns_of(data, beside, number)
+        return min(1.0, chance(data, alone.fitted, beside.fitted, own.stop - own.start, self._negligible_nm) * tried)
 
 
 def _beyond_laws(

@@ -26,6 +26,7 @@ WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
 # of a column's squared norm: a coefficient that the other folds hardly determine stays at the value of all rows
+DISTINCT = 1e-3  # share of the square of a torque or column that must remain when everything else is projected out
 RIDGE = 1e-4
 LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in this many
 ROBUST_STEPS = 4  # of reweighted least squares
@@ -169,7 +170,9 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
     return min(1.0, max(SMALLEST_P, tail * tried))
 
 
-def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: float = 0.0) -> float:
+def sandwich_p(
+    with_it: Floats, beside: Floats, leverage: Floats, negligible: float = 0.0, numbers: int | None = None
+) -> float:
     """Probability that noise alone gives an effect its windows' scores `with_it`, given those `beside` it, (W, k) each.
 
     `negligible`: share of its square that is too small to matter. It makes this the probability under noise plus an
@@ -179,9 +182,10 @@ def sandwich_p(with_it: Floats, beside: Floats, leverage: Floats, negligible: fl
     `beside` are the scores of the same columns on the residual with the effect fitted; they give the variance over the
     windows (White, 1980). `leverage` (W,): share of the columns in each window; the degrees of freedom are the
     effective number of windows, and no window counts for more than one in LEVERAGE_WINDOWS. An effect that is rare but
-    far above the noise is significant, whereas the T2 of the means would take its rareness for noise.
+    far above the noise is significant, whereas the T2 of the means would take its rareness for noise. `numbers`: how
+    many were fitted, where the k columns are combinations of more.
     """
-    rank = with_it.shape[1]
+    rank = numbers or with_it.shape[1]
     most = leverage.sum() / LEVERAGE_WINDOWS
     weight = np.sqrt(np.minimum(1.0, most / np.maximum(leverage, 1e-300)))
     counted = leverage * weight**2
@@ -207,10 +211,12 @@ def strength_variation(torque: Floats, beside: Floats, residual: Floats, folds: 
     (m,): of the whole model; all whitened. Each block gets a strength of its own, relative to the fitted one, weighted
     by its share of the squared torque that is orthogonal to `beside` (a random coefficient: Swamy, 1970). A law of the
     machine has one strength everywhere; a substitute for another law does not. The noise comes from the windows of each
-    block.
+    block. 0 where `beside` determines the torque but for DISTINCT of its square: a full lag's strength beside a delay.
     """
     scaled = _of_unit_norm(beside)
     own = torque - scaled @ np.linalg.solve(scaled.T @ scaled + RIDGE * np.eye(beside.shape[1]), scaled.T @ torque)
+    if own @ own < DISTINCT * (torque @ torque):
+        return 0.0
     energy = np.bincount(folds.block, own**2)
     change = np.bincount(folds.block, own * clipped(residual)) / np.maximum(energy, 1e-300)
     scores = np.bincount(folds.window, own * (residual - change[folds.block] * own))

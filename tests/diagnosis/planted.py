@@ -17,7 +17,7 @@ from fffo_drive.diagnosis.diagnose import prepared
 from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.rows import make_filter
 from fffo_drive.diagnosis.scenes import Effect
-from fffo_drive.diagnosis.select import base_of, settled
+from fffo_drive.diagnosis.scored import base_of, settled
 from fffo_drive.identification.criterion import huber
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts

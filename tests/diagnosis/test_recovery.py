@@ -14,7 +14,8 @@ from fffo_drive.diagnosis.base import BASE, NAMES, moved
 from fffo_drive.diagnosis.fitting import evaluate, jacobian, loaded_sensitivities
 from fffo_drive.diagnosis.gates import SHOWN_SHARE, shown_share
 from fffo_drive.diagnosis.propose import LAW_RUNG, Search, evidence_of
-from fffo_drive.diagnosis.select import refitted, renewed
+from fffo_drive.diagnosis.scored import renewed
+from fffo_drive.diagnosis.select import refitted
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts

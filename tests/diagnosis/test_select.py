@@ -6,27 +6,17 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnosis.planted import FACTS, INERTIA, KT, effect, left, nothing, only, planted, runs, started
+from scipy import stats
 
 from fffo_drive.diagnosis import gates, select
 from fffo_drive.diagnosis.base import BASE, NAMES, RIGID
 from fffo_drive.diagnosis.diagnose import DiagnosisSettings
-from fffo_drive.diagnosis.fitting import fit, share_gone
+from fffo_drive.diagnosis.fitting import Fitted, fit, share_gone
 from fffo_drive.diagnosis.gates import ReferenceAxis
 from fffo_drive.diagnosis.propose import LAW_RUNG, WAVE_RUNG, Proposal, Score, Search
 from fffo_drive.diagnosis.scenes import starting_effect
-from fffo_drive.diagnosis.select import (
-    LAW_OF_CURVE,
-    Accepted,
-    Contender,
-    ScoredFit,
-    Selector,
-    base_of,
-    numbers_of,
-    refitted,
-    scored_fit,
-    settled,
-    without,
-)
+from fffo_drive.diagnosis.scored import ScoredFit, base_of, chance, scored_fit, settled, without
+from fffo_drive.diagnosis.select import LAW_OF_CURVE, Accepted, Contender, Selector, numbers_of, refitted
 from fffo_drive.identification.criterion import SMALLEST_P, Gain, gain
 
 OFFSET_NM = 0.006
@@ -164,8 +154,8 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     data, scored, _ = at_the_start("wave")
     fitted = fit(data, scored.fitted.physical, [effect("cogging", {"cos_nm": 0.001, "sin_nm": 0.0}, order=5.0)])
     note = Accepted("cogging", Gain(1.0, 0.1, np.zeros(1)), 0.5, 0.1, (), (), 1000)
-    scored = scored_fit(data, fitted)
-    assert selector()._chance(data, scored, 0, note.tried, note.p) == pytest.approx(1000 * SMALLEST_P)
+    alone, scored = scored, scored_fit(data, fitted)
+    assert selector()._chance(data, alone, scored, 0, note.tried) == pytest.approx(1000 * SMALLEST_P)
     for refit in (False, True):
         judged = selector()._judged(data, scored, 0, note, refit)
         assert judged.p == pytest.approx(1000 * SMALLEST_P)
@@ -173,6 +163,37 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     assert selector()._is_idle(replace(judged, p=0.5))  # by now it may be chance
     (kept,) = selector()._pruned(data, scored, [note])[2]  # alone it was judged when it was accepted
     assert kept.p == note.p
+
+
+def test_a_full_lag_stands_though_its_strength_is_that_of_the_delay():
+    """With all of the torque behind a lag, the column of its strength is that of the delay."""
+    lag_s = 0.008
+    data = started(runs(LOADS["wave"], LOADS["wave"], duration_s=10.0, lag_s=lag_s))
+    selection = selector("current_lag", "cogging").run(data)
+    assert sorted(names(selection)) == ["cogging", "current_lag"]
+    lag = names(selection).index("current_lag")
+    assert selection.fitted.effects[lag].shapes["tau_s"] == pytest.approx(lag_s, rel=0.05)
+    assert selection.fitted.effects[lag].strengths["share"][0] == pytest.approx(1.0, abs=0.1)
+    assert selection.accepted[lag].p < 1e-6
+    assert selection.accepted[lag].variation == 0.0  # a strength that is not determined cannot be said to vary
+
+
+@pytest.mark.parametrize("numbers", [1, 3])
+def test_the_chance_of_what_two_fits_differ_by_is_never_too_small(numbers):
+    """Least squares on noise, with a base of four columns and with `numbers` more."""
+    data, _, _ = at_the_start()
+    chances = []
+    for seed in range(200):
+        draw = np.random.default_rng([numbers, seed])
+        columns, noise = draw.normal(size=(data.used.size, 4 + numbers)), draw.normal(size=data.used.size)
+        alone, beside = (
+            Fitted(data.start, (), 0.0, left, left)
+            for own in (columns[:, :4], columns)
+            for left in [noise - own @ np.linalg.lstsq(own, noise)[0]]
+        )
+        chances.append(chance(data, alone, beside, numbers))
+    assert stats.kstest(chances, "uniform", alternative="greater").pvalue > 0.01
+    assert np.median(chances) < 0.7
 
 
 def test_laws_beyond_chance_come_first_and_what_is_barred_is_not_contended():
@@ -355,7 +376,7 @@ def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(mo
     assert names(selection) == ["cogging"]
     assert selection.accepted[0].p < 0.01  # that of the refit
     assert names(selector("torque_offset", ablate=()).run(data_with("wave"))) == []
-    monkeypatch.setattr(select.Selector, "_chance", lambda self, data, scored, number, tried, otherwise: 1.0)
+    monkeypatch.setattr(select.Selector, "_chance", lambda self, data, alone, beside, number, tried: 1.0)
     assert names(selector("cogging").run(data_with("wave"))) == []
 
 
@@ -373,7 +394,7 @@ def test_the_reference_of_the_gates_is_the_axis_by_the_first_rungs():
     search.run(data_with("constant"))
     assert isinstance(search.reference, ReferenceAxis)
     assert search.reference.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.02)
-    assert [e.name for e in search.ladder.effects] == ["torque_offset"]
+    assert [e.name for e in search.ladder.fitted.effects] == ["torque_offset"]
 
 
 # Dropping

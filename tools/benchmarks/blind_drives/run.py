@@ -58,7 +58,7 @@ def base_rms_nm(fit: list[Record], held_out: list[Record], facts: DriveFacts) ->
     """Torque error of the base model alone on held-out runs: the `before` of a diagnosis without effects."""
     from fffo_drive.diagnosis.diagnose import DiagnosisSettings, filter_for, prepared
     from fffo_drive.diagnosis.proof import data_of, with_own_datum
-    from fffo_drive.diagnosis.select import base_of, settled
+    from fffo_drive.diagnosis.scored import base_of, settled
 
     filter_ = filter_for(fit, facts, DiagnosisSettings())
     base = settled(data := prepared(fit, facts, None, filter_), base_of(data))[1].fitted
