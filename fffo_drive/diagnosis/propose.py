@@ -128,8 +128,8 @@ def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
     return _Solved(float(total @ total), turn @ total, turn)
 
 
-def score(evidence: Evidence, white: Floats) -> Score:
-    """Score white columns (q, k)."""
+def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Score:
+    """Score white columns (q, k). `load` (q,): the effect's own torque, where the residual already excludes it."""
     shared, square = evidence.basis.T @ white, white.T @ white
     found = _solved(np.diag(square), square - shared.T @ shared, evidence.residual @ white)
     if not found.turn.shape[1]:
@@ -137,14 +137,15 @@ def score(evidence: Evidence, white: Floats) -> Score:
     axes = white @ found.turn - evidence.basis @ (shared @ found.turn)
     residual = evidence.residual
     left = residual - axes @ (axes.T @ residual)
+    whole = residual if load is None else left + load
 
     def in_windows(values: Floats) -> Floats:
         return np.stack([np.bincount(evidence.folds.window, values * axis) for axis in axes.T], axis=1)
 
     leverage = np.bincount(evidence.folds.window, np.einsum("ij,ij->i", axes, axes)).astype(np.float64)
-    own_nm = evidence.level_nm * (axes @ (axes.T @ residual))
+    own_nm = evidence.level_nm * (axes @ (axes.T @ whole))
     negligible = evidence.negligible_nm**2 / max(float(np.mean(own_nm**2)), 1e-300)
-    return found.score(sandwich_p(in_windows(residual), in_windows(left), leverage, negligible))
+    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage, negligible))
 
 
 def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:

@@ -45,7 +45,7 @@ from .fitting import (
     share_gone,
 )
 from .gates import ReferenceAxis, implausibility, objection
-from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score
+from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import starting_effect, strength_columns
 from .scored import (
     LADDER_ITERATIONS,
@@ -472,9 +472,16 @@ class Selector:
         )  # fmt: skip
 
     def _chance(self, data: Data, alone: ScoredFit, beside: ScoredFit, number: int, tried: int) -> float:
-        """p-value of one effect of `beside`, over the whole search; `alone` is the model without it."""
+        """p-value of one effect of `beside`, over the whole search; `alone` is the model without it.
+
+        Twice the smaller of two: a test of its numbers beside all others, which sees what is rare, and the P test,
+        which sees what other parameters could carry as well.
+        """
         own = columns_of(data, beside, number)
-        return min(1.0, chance(data, alone.fitted, beside.fitted, own.stop - own.start, self._negligible_nm) * tried)
+        evidence = self._evidence(data, beside.fitted, np.delete(beside.matrix, np.r_[own], axis=1))
+        found = score(evidence, beside.matrix[:, own], load_of(data, beside.fitted, number))
+        p = chance(data, alone.fitted, beside.fitted, own.stop - own.start, evidence.negligible_nm)
+        return min(1.0, 2.0 * min(p, found.p) * tried)
 
 
 def _beyond_laws(

@@ -155,10 +155,10 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     fitted = fit(data, scored.fitted.physical, [effect("cogging", {"cos_nm": 0.001, "sin_nm": 0.0}, order=5.0)])
     note = Accepted("cogging", Gain(1.0, 0.1, np.zeros(1)), 0.5, 0.1, (), (), 1000)
     alone, scored = scored, scored_fit(data, fitted)
-    assert selector()._chance(data, alone, scored, 0, note.tried) == pytest.approx(1000 * SMALLEST_P)
+    assert selector()._chance(data, alone, scored, 0, note.tried) == pytest.approx(2000 * SMALLEST_P)
     for refit in (False, True):
         judged = selector()._judged(data, scored, 0, note, refit)
-        assert judged.p == pytest.approx(1000 * SMALLEST_P)
+        assert judged.p == pytest.approx(2000 * SMALLEST_P)
     assert without(data, scored, [0], True).fitted.effects == ()
     assert selector()._is_idle(replace(judged, p=0.5))  # by now it may be chance
     (kept,) = selector()._pruned(data, scored, [note])[2]  # alone it was judged when it was accepted

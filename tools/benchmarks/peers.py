@@ -15,7 +15,7 @@ from blind_drives.run import diagnose_folder, records_of
 from blind_drives.score import wilson
 from common import ROOT, Report, finish, main, parser, shown
 from drive_folders import DriveFolder, drive_folders
-from engine import Call, accepted_of, first_names, in_parallel, residual_is_reported, write_answer
+from engine import Call, claimed, first_names, in_parallel, residual_is_reported, write_answer
 from rows import Floats, rms
 
 from fffo_drive.diagnosis.base import NAMES, models_along
@@ -118,7 +118,7 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
     names = list(said[0][1]["peers"])
     table, near, silent = [], 0, 0
     false_terms: dict[str, list[int]] = {name: [] for name in names}
-    false_ours: list[int] = []
+    false_ours: list[tuple[int, int]] = []  # named effects, and forms of the friction
     for drive, (ours, others) in zip(drives, said, strict=True):
         before = ours["before"]["held_out"]
         after = ours["after"]["held_out"] or before
@@ -129,7 +129,7 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
         beaten = best_nm < after["interval_95"]["torque_rms_nm"][0]
         silent += beaten and not residual_is_reported(ours)
         if drive.truth is not None and not drive.truth["effects"]:
-            false_ours.append(len(accepted_of(ours)))
+            false_ours.append((len(claimed(ours)), len(ours.get("friction_form", []))))
             for name, peer in others["peers"].items():
                 if peer.get("more") is not None:
                     false_terms[name].append(peer["more"])
@@ -145,7 +145,9 @@ def peers_report(drives: Sequence[DriveFolder], said: Sequence[tuple[dict[str, A
     report.bounded("a peer better by more than our interval, and no residual reported", str(silent), silent == 0, "0")
     report.facts |= {"near": near, "silent": silent, "drives": len(drives), "peers": [peers for _, peers in said]}
     if false_ours:
-        report.bounded("findings per drive without effects, ours", f"{np.mean(false_ours):.2f}")
+        named, forms = np.mean(false_ours, axis=0)
+        report.bounded("effects named per drive without effects, ours", f"{named:.2f}")
+        report.bounded("forms of the friction per drive without effects, ours", f"{forms:.2f}")
         for name, terms in false_terms.items():
             if terms:
                 report.bounded(f"terms beyond the axis' own per drive without effects, {name}", f"{np.mean(terms):.1f}")

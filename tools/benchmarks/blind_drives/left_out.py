@@ -42,6 +42,7 @@ class LeftOut(NamedTuple):
     kind: str
     said: str
     outcome: str  # "right axis", "residual reported", "wrong" or "silent"
+    on_axis: bool  # everything named is on an axis of what is true
 
 
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
@@ -55,7 +56,8 @@ def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
         outcome = "right axis"
     else:
         outcome = "residual reported" if residual_is_reported(report) else "silent"
-    return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome)
+    on_axis = all(one["axis"] in effect["axes"] for one in claimed(report))
+    return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome, on_axis)
 
 
 def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report:
@@ -73,6 +75,8 @@ def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report
         for one in sorted(judged, key=lambda one: (one.kind, one.seed))
     ]
     report.table(["kind", "drive", "left out of the search", "said", "is"], rows)
+    near = sum(one.outcome == "wrong" and one.on_axis for one in judged)
+    report.bounded("of the wrong names: on an axis of what is true", str(near))
     report.notes.append("?: a name that the report itself puts in doubt, which does not count.")
     if ignored:
         report.notes.append(
