@@ -33,6 +33,7 @@ SERVED_BY: dict[str, frozenset[str]] = {
     "odd_cable": frozenset({"unknown:memory"}),
 }  # fmt: skip
 MOST_WRONG = 0.05
+ANGLE = {"output_angle": "motor_angle"}  # a place of every motor turn is one of the output too
 
 
 class LeftOut(NamedTuple):
@@ -42,7 +43,7 @@ class LeftOut(NamedTuple):
     kind: str
     said: str
     outcome: str  # "right axis", "residual reported", "wrong" or "silent"
-    on_axis: bool  # everything named is on an axis of what is true
+    on_axis: bool  # everything named is on an axis of what is true; the angles of motor and output count as one
 
 
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
@@ -56,7 +57,9 @@ def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
         outcome = "right axis"
     else:
         outcome = "residual reported" if residual_is_reported(report) else "silent"
-    on_axis = all(one["axis"] in effect["axes"] for one in claimed(report))
+    on_axis = {ANGLE.get(one["axis"], one["axis"]) for one in claimed(report)} <= {
+        ANGLE.get(axis, axis) for axis in effect["axes"]
+    }
     return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome, on_axis)
 
 
