@@ -474,14 +474,16 @@ class Selector:
     def _chance(self, data: Data, alone: ScoredFit, beside: ScoredFit, number: int, tried: int) -> float:
         """p-value of one effect of `beside`, over the whole search; `alone` is the model without it.
 
-        Twice the smaller of two: a test of its numbers beside all others, which sees what is rare, and the P test,
-        which sees what other parameters could carry as well.
+        By a test of its numbers beside all others, which is exact for a curve. For a law twice the smaller of that, which
+        sees what is rare, and the P test, which sees what other parameters could carry as well.
         """
         own = columns_of(data, beside, number)
         evidence = self._evidence(data, beside.fitted, np.delete(beside.matrix, np.r_[own], axis=1))
-        found = score(evidence, beside.matrix[:, own], load_of(data, beside.fitted, number))
-        p = chance(data, alone.fitted, beside.fitted, own.stop - own.start, evidence.negligible_nm)
-        return min(1.0, 2.0 * min(p, found.p) * tried)
+        p = score(evidence, beside.matrix[:, own], load_of(data, beside.fitted, number)).p
+        if not beside.fitted.effects[number].name.startswith(UNKNOWN):
+            numbers = own.stop - own.start
+            p = 2.0 * min(p, chance(data, alone.fitted, beside.fitted, numbers, evidence.negligible_nm))
+        return min(1.0, p * tried)
 
 
 def _beyond_laws(
