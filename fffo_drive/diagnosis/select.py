@@ -474,8 +474,8 @@ class Selector:
     def _chance(self, data: Data, alone: ScoredFit, beside: ScoredFit, number: int, tried: int) -> float:
         """p-value of one effect of `beside`, over the whole search; `alone` is the model without it.
 
-        By a test of its numbers beside all others, which is exact for a curve. For a law twice the smaller of that, which
-        sees what is rare, and the P test, which sees what other parameters could carry as well.
+        By a test of its numbers beside all others, which is exact for a curve. For a law twice the smaller of that,
+        which sees what is rare, and the P test, which sees what other parameters could carry as well.
         """
         own = columns_of(data, beside, number)
         evidence = self._evidence(data, beside.fitted, np.delete(beside.matrix, np.r_[own], axis=1))
