@@ -136,14 +136,16 @@ from blind_drives.left_out import SERVED_BY, judge, left_out_report
 
 def one(names, verdict="effects_found", rest=None):
     effect = {"name": "odd_fatigue", "axes": ["memory", "time"]}
-    effects = [{"name": name, "accepted": True, "parameters": {}} for name in names]
+    axis = {"coulomb_drift": "time"}
+    effects = [{"name": name, "accepted": True, "parameters": {}, "axis": axis.get(name, name.split(":")[-1])}
+               for name in names]
     return judge({"seed": 3, "effects": [effect]}, {"effects": effects, "verdict": verdict, "unexplained_rest": rest})
 
 judged = [one(["unknown:time"]), one(["coulomb_drift"]), one(["unknown:velocity"]), one([], "unexplained"),
           one([], "no_effect_found", {"rms_nm": 1.0}), one([], "no_effect_found")]
 report = left_out_report(judged, [])
 print(json.dumps({"outcomes": [j.outcome for j in judged], "kinds": sorted(SERVED_BY) == sorted(ODD_AXES),
-                  "missed": report.missed}))
+                  "on_axis": [j.on_axis for j in judged[:3]], "missed": report.missed}))
 """
 
 
@@ -151,6 +153,7 @@ def test_without_the_curve_of_its_kind_another_axis_or_a_reported_rest_is_right_
     found = said(JUDGED)
     assert found["outcomes"] == ["right axis", "wrong", "wrong", "residual reported", "residual reported", "silent"]
     assert found["kinds"]
+    assert found["on_axis"] == [True, True, False]  # a drift names the time, which the effect depends on
     assert found["missed"] == ["wrong name or axis"]
 
 
