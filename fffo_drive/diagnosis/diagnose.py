@@ -128,8 +128,8 @@ def runs_look(records: Sequence[Record]) -> RunsLook | None:
 def proven(selected: Selection, held_out: Sequence[Record]) -> tuple[Selection, Proof | None, str]:
     """The selection that carries over to the held-out runs, its proof, and where even this one is worse.
 
-    Where the whole model is worse, the first rungs are tried alone: what fails may stand above them. Which model is
-    tried is fixed before; nothing is chosen on held-out runs.
+    Where the whole model is worse, the first rungs are tried alone: what fails may stand above them. The two models and
+    their order are fixed before; the held-out runs only accept or refuse.
     """
     if not held_out:
         return selected, None, ""

@@ -32,14 +32,14 @@ DATUM_SHARE = 0.3  # share of a run, and of a periodic effect in it, that its da
 DATUM_MOST = 0.7  # ... and at most this share of the run; the rest is scored
 
 
-def data_of(records: Sequence[Record], filter_: Filter, base: Fitted) -> Data:
+def data_of(records: Sequence[Record], filter_: Filter, physical: Floats) -> Data:
     """Rows of other records, with the base model's noise levels on them; rows whose history is unknown do not count."""
     stretches = stretches_of(records, filter_)
     rows = rows_of(stretches, filter_)
     rows = rows._replace(kept=rows.kept & with_known_history(rows))
-    data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), base.physical)
-    data = at_rest(data, base.physical, ())
-    return with_levels(data, evaluate(data, base.physical, ())[0])
+    data = Data(stretches, rows, rows.kept.astype(np.float64), len(records), physical)
+    data = at_rest(data, physical, ())
+    return with_levels(data, evaluate(data, physical, ())[0])
 
 
 def with_known_history(rows: DiagnosisRows) -> Mask:
@@ -102,7 +102,7 @@ class Proof:
     def __init__(
         self, records: Sequence[Record], filter_: Filter, base: Fitted, ladder: Fitted, fitted: Fitted
     ) -> None:  # fmt: skip
-        self.data = data_of(records, filter_, base)
+        self.data = data_of(records, filter_, base.physical)
         self.base = with_own_datum(self.data, base)[0]
         self.fitted, self.scored = with_own_datum(self.data, fitted)
         self.ladder = with_own_datum(self.data, ladder)[0]

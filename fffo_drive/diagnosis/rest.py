@@ -10,6 +10,7 @@ other runs would have to extrapolate. Both hid a friction of 13 % of the torque 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -79,10 +80,7 @@ def refused_rest(data: Data, in_force: Fitted, refused: Fitted) -> Rest | None:
     rms, floor = (float(np.sqrt(np.mean(one.residual_nm[used] ** 2))) for one in (in_force, refused))
     if rms <= REPORTED_RATIO * floor:
         return None
-    names = [effect.name for effect in refused.effects]
-    for effect in in_force.effects:
-        if effect.name in names:
-            names.remove(effect.name)
+    names = Counter(effect.name for effect in refused.effects) - Counter(effect.name for effect in in_force.effects)
     axes = tuple(dict.fromkeys(axis_of_effect(name) for name in names))[:2]
     sentence = (
         f"{100.0 * share_above(floor, rms):.0f} % of the squared residual is explained only by effects of "

@@ -25,8 +25,8 @@ SHORTEST_BLOCK_S = 0.2
 WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
 HUBER = 3.0  # standard deviations beyond which the loss grows linearly
-# of a column's squared norm: a coefficient that the other folds hardly determine stays at the value of all rows
 DISTINCT = 1e-3  # share of the square of a torque or column that must remain when everything else is projected out
+# of a column's squared norm: a coefficient that the other folds hardly determine stays at the value of all rows
 RIDGE = 1e-4
 LEVERAGE_WINDOWS = 20.0  # no window of a column and no block of a gain counts for more than one in this many
 ROBUST_STEPS = 4  # of reweighted least squares

@@ -128,7 +128,7 @@ def test_the_error_in_velocity_is_what_the_torque_that_is_left_makes_of_a_window
 def test_the_first_hundredth_of_a_stretchs_travel_is_not_scored():
     _, base, _ = fitted(nothing)
     records, filter_ = held_out(), make_filter(PERIOD_S)
-    before, after = rows_of(stretches_of(records, filter_), filter_), data_of(records, filter_, base).rows
+    before, after = rows_of(stretches_of(records, filter_), filter_), data_of(records, filter_, base.physical).rows
     for begin, end in after.bounds:
         travel = np.cumsum(np.abs(after.velocity_rps[begin:end]))
         known = travel >= HISTORY_SHARE * travel[-1]
@@ -145,7 +145,7 @@ def test_a_datum_is_found_on_the_first_part_of_a_run_and_the_rest_is_scored():
         planted(wave(phase), seed=seed, duration_s=8.0, name=str(seed), begin_s=10.0 * k)
         for k, (phase, seed) in enumerate(((0.4, 11), (0.85, 12)))
     ]
-    data = data_of(records, make_filter(PERIOD_S), base)
+    data = data_of(records, make_filter(PERIOD_S), base.physical)
     found, scored = with_own_datum(data, model)
     strengths = found.effects[0].strengths
     phases = np.arctan2(strengths["sin_nm"], strengths["cos_nm"]) / (2.0 * np.pi)
@@ -175,7 +175,7 @@ def wave_effect(*phases, size_nm=WAVE_NM):
 
 
 def test_without_a_datum_per_run_every_row_is_scored():
-    _, scored = with_own_datum(data_of(held_out(), make_filter(PERIOD_S), fitted()[1]), fitted()[2])
+    _, scored = with_own_datum(data_of(held_out(), make_filter(PERIOD_S), fitted()[1].physical), fitted()[2])
     assert scored.all()
 
 

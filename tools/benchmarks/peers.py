@@ -20,7 +20,7 @@ from rows import Floats, rms
 
 from fffo_drive.diagnosis.base import NAMES, models_along
 from fffo_drive.diagnosis.diagnose import DiagnosisSettings, filter_for
-from fffo_drive.diagnosis.fitting import Fitted, evaluate
+from fffo_drive.diagnosis.fitting import evaluate
 from fffo_drive.diagnosis.proof import data_of
 from fffo_drive.diagnosis.rows import Filter
 from fffo_drive.identification.dataset import Record
@@ -56,8 +56,7 @@ def peer_rows(records: Sequence[Record], filter_: Filter, base: dict[str, list[f
     value["inertia_nm_s2_per_rev"] = inertia_nm_s2_per_rev(value["inertia_kg_m2"])
     value["delay_s"] -= value["sensor_delay_s"]
     physical = np.array([value.get(name, 0.0) for name in NAMES])
-    nothing = np.zeros(0)
-    data = data_of(records, filter_, Fitted(physical, (), 0.0, nothing, nothing))
+    data = data_of(records, filter_, physical)
     rows, models = data.rows, models_along(data.stretches, physical)
     motor_nm = np.concatenate([filter_.rows(one.torque_nm) for one in models])
     travel_rev = rows.joined(one.travel_rev for one in models)

@@ -43,7 +43,7 @@ class LeftOut(NamedTuple):
     kind: str
     said: str
     outcome: str  # "right axis", "residual reported", "wrong" or "silent"
-    on_axis: bool  # everything named is on an axis of what is true; the angles of motor and output count as one
+    on_axis: bool  # the true effect depends on what is named; the angles of motor and output count as one
 
 
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
@@ -79,7 +79,7 @@ def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report
     ]
     report.table(["kind", "drive", "left out of the search", "said", "is"], rows)
     near = sum(one.outcome == "wrong" and one.on_axis for one in judged)
-    report.bounded("of the wrong names: on an axis of what is true", str(near))
+    report.bounded("of the wrong names: on a variable that the true effect depends on", str(near))
     report.notes.append("?: a name that the report itself puts in doubt, which does not count.")
     if ignored:
         report.notes.append(

@@ -62,7 +62,7 @@ def base_rms_nm(fit: list[Record], held_out: list[Record], facts: DriveFacts) ->
 
     filter_ = filter_for(fit, facts, DiagnosisSettings())
     base = settled(data := prepared(fit, facts, None, filter_), base_of(data))[1].fitted
-    data = data_of(held_out, filter_, base)
+    data = data_of(held_out, filter_, base.physical)
     left_nm = with_own_datum(data, base)[0].residual_nm[data.rows.kept]
     return float(np.sqrt(np.mean(left_nm**2)))
 
