@@ -332,9 +332,9 @@ class Selector:
             others = [k for k, note in enumerate(accepted) if note.name != name]
             if len(others) == len(accepted):
                 continue  # it went with another curve
-            left = fit(data, scored.fitted.physical, [scored.fitted.effects[k] for k in others])
+            left, _ = evaluate(data, scored.fitted.physical, [scored.fitted.effects[k] for k in others])
             ratios = self.inertia_ratios
-            found = self._round(*renewed(data, left), [accepted[k] for k in others], LAW_RUNG)
+            found = self._round(data, scored_fit(data, left), [accepted[k] for k in others], LAW_RUNG)
             self.inertia_ratios = ratios  # without the curve, runs may seem to contradict each other
             if found is None or any(effect.name == name for effect in found[1].fitted.effects):
                 continue
