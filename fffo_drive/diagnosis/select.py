@@ -29,7 +29,7 @@ from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
 from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
-from ..model.effects.registry import LAWS, law_of
+from ..model.effects.registry import LAWS, axis_of_effect, law_of
 from .base import NAMES
 from .fitting import (
     Data,
@@ -183,6 +183,9 @@ class Selector:
                 self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
         data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
+        for k, note in enumerate(accepted):  # each was needed beside a curve over its axis, and is much more without it
+            if _set_aside(scored, k) != (containing := _set_aside(scored, k, True)):
+                accepted[k] = self._judged(data, scored, k, note, True, containing)
         assert self.ladder is not None
         return Selection(
             data, base_of(data), scored.fitted, scored.matrix, _varying(data, scored, accepted),
@@ -439,14 +442,17 @@ class Selector:
         """
         refit = refit or any(on_command(effect) for effect in scored.fitted.effects)
         while accepted:
-            judged = [self._judged(data, scored, number, note, refit) for number, note in enumerate(accepted)]
+            judged = [
+                self._judged(data, scored, number, note, refit, _set_aside(scored, number))
+                for number, note in enumerate(accepted)
+            ]
             if len(accepted) == 1 and judged[0].share >= LEAST_SHARE:
                 # it was judged at its acceptance and nothing has been added since
                 return data, scored, [replace(judged[0], p=accepted[0].p or judged[0].p)]
             weakest = None
             for k in ranked(range(len(judged)), key=lambda k: judged[k].gain.value):
                 if self._is_idle(judged[k]) and "drop" not in self.ablate:
-                    judged[k] = self._judged(data, scored, k, accepted[k], True)
+                    judged[k] = self._judged(data, scored, k, accepted[k], True, _set_aside(scored, k))
                     if self._is_idle(judged[k]):
                         weakest = k
                         break
@@ -460,9 +466,10 @@ class Selector:
     def _is_idle(self, note: Accepted) -> bool:
         return not note.gain.holds or note.share < LEAST_SHARE or note.p > self.rate
 
-    def _judged(self, data: Data, scored: ScoredFit, number: int, note: Accepted, refit: bool) -> Accepted:
-        """Gain, share and p-value of one effect given all others."""
-        aside = _set_aside(scored, number)
+    def _judged(
+        self, data: Data, scored: ScoredFit, number: int, note: Accepted, refit: bool, aside: Sequence[int]
+    ) -> Accepted:
+        """Gain, share and p-value of one effect given all others but those set `aside`."""
         beside = without(data, scored, aside, refit)
         alone = without(data, scored, [*aside, number], refit)
         place = number - sum(k < number for k in aside)
@@ -530,12 +537,19 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
     return again if again.loss < found.loss else found
 
 
-def _set_aside(scored: ScoredFit, number: int) -> list[int]:
-    """Effects that one effect is not judged beside: free curves for one of the first rungs, as they hold a constant."""
+def _set_aside(scored: ScoredFit, number: int, own_axis: bool = False) -> list[int]:
+    """Free curves that one effect is not judged beside: all for one of the first rungs, as they hold a constant; with
+    `own_axis` those over the axis of a law, which contain it.
+    """
     effects = scored.fitted.effects
-    if law_of(effects[number].name).rung > WAVE_RUNG:
+    law = law_of(effects[number].name)
+    if effects[number].name.startswith(UNKNOWN):
         return []
-    return [k for k, e in enumerate(effects) if e.name.startswith(UNKNOWN)]
+    return [
+        k for k, e in enumerate(effects)
+        if e.name.startswith(UNKNOWN)
+        and (law.rung <= WAVE_RUNG or (own_axis and axis_of_effect(e.name) == law.axis))
+    ]  # fmt: skip
 
 
 def _varying(data: Data, scored: ScoredFit, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
@@ -549,7 +563,7 @@ def _varying(data: Data, scored: ScoredFit, accepted: Sequence[Accepted]) -> tup
 
 def _variation(data: Data, scored: ScoredFit, number: int) -> float:
     """Coefficient of variation of an effect's strength over the blocks."""
-    left_out = [columns_of(data, scored, k) for k in (number, *_set_aside(scored, number))]
+    left_out = [columns_of(data, scored, k) for k in (number, *_set_aside(scored, number, True))]
     beside = np.delete(scored.matrix, np.concatenate([np.r_[part] for part in left_out]), axis=1)
     load = load_of(data, scored.fitted, number)
     return strength_variation(load, beside, scored.fitted.white, data.folds)
