@@ -48,7 +48,6 @@ CURVE_PRIOR = 1e-3  # prior weight, as a share of the squared norm of a curve's 
 CONVERGED = 3e-4  # relative decrease of the loss that ends a fit
 STEADY = 0.02  # ... and below which the sensitivities are reused
 STEEPEST = 5.0  # largest Fs over Fc
-LARGEST_GROWTH = 0.02  # largest growth of the plain squared residual that an effect may cause
 LARGEST_LOG = 0.5  # largest step of the logarithm of a positive parameter
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # bounds of the speed classes of noise, in shares of the top speed
 HIDDEN = 0.1  # sd of the bias from undetectably small effects, as a share of its maximum (calibration.md)
@@ -110,13 +109,8 @@ class Slot(NamedTuple):
 
 
 def share_gone(before: Fitted, after: Fitted) -> float:
-    """Share of the loss that is removed, at most 1.
-
-    The loss is the squared white residual with outliers as in `huber`: an effect that improves the bulk of the rows at
-    the cost of the outliers removes nothing.
-    """
-    plain = float(after.white @ after.white) / max(float(before.white @ before.white), 1e-300)
-    return 0.0 if plain > 1.0 + LARGEST_GROWTH else 1.0 - after.loss / max(before.loss, 1e-300)
+    """Share of the loss that is removed, at most 1: of the squared white residual, with outliers as in `huber`."""
+    return 1.0 - after.loss / max(before.loss, 1e-300)
 
 
 def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]:

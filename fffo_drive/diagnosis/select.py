@@ -327,22 +327,29 @@ class Selector:
     def _replaced_curves(
         self, data: Data, scored: ScoredFit, accepted: list[Accepted]
     ) -> tuple[Data, ScoredFit, list[Accepted]]:
-        """Put a law in the place of each free curve, unless unseen rows prefer the curve.
+        """Put a law in the place of each free curve where it has most of the curve's gain.
 
-        A curve accepted before another effect had absorbed part of that effect, and no law could do so.
+        A curve accepted before another effect had absorbed part of that effect, and no law could do so. Laws are tried
+        on the base of the whole model: one that was refitted without the curve has absorbed what a law would explain.
         """
         for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
             others = [k for k, note in enumerate(accepted) if note.name != name]
             if len(others) == len(accepted):
                 continue  # it went with another curve
-            left, _ = evaluate(data, scored.fitted.physical, [scored.fitted.effects[k] for k in others])
+            left = [scored.fitted.effects[k] for k in others]
+            bare, _ = evaluate(data, scored.fitted.physical, left)
             ratios = self.inertia_ratios
-            found = self._round(data, scored_fit(data, left), [accepted[k] for k in others], LAW_RUNG)
+            found = self._round(data, scored_fit(data, bare), [accepted[k] for k in others], LAW_RUNG)
             self.inertia_ratios = ratios  # without the curve, runs may seem to contradict each other
             if found is None or any(effect.name == name for effect in found[1].fitted.effects):
                 continue
             fitted = found[1].fitted
-            if not _worse(scored, scored_fit(data, fit(data, fitted.physical, fitted.effects)), data.folds):
+            alone, law = (
+                scored_fit(data, fit(data, physical, effects)).unseen
+                for physical, effects in ((bare.physical, left), (fitted.physical, fitted.effects))
+            )
+            own, replaced = (gain(alone, unseen, data.folds).value for unseen in (scored.unseen, law))
+            if replaced > LAW_OF_CURVE * own:
                 data, scored, accepted = found
         return data, scored, accepted
 

@@ -426,16 +426,6 @@ def test_the_last_effect_goes_as_well_where_nothing_is_left_of_it():
     assert scored.fitted.effects == ()
 
 
-def test_what_serves_the_bulk_at_the_cost_of_outliers_takes_nothing_away():
-    data, scored, _ = at_the_start()
-    base = scored.fitted
-    quiet = left(data, base, -0.5 * base.residual_nm)
-    assert share_gone(base, quiet) == pytest.approx(0.75, abs=0.01)
-    far = np.zeros(base.residual_nm.size)
-    far[data.used[::50]] = 0.03
-    assert share_gone(base, left(data, quiet, far)) == 0.0
-
-
 def test_what_gains_among_the_outliers_takes_away_what_the_loss_falls_by():
     """Rare rows far out count straight, not square: taking them away at a small cost of the bulk is a gain."""
     data, scored, _ = at_the_start()
