@@ -135,7 +135,7 @@ from blind_drives.draw import ODD_AXES
 from blind_drives.left_out import SERVED_BY, judge, left_out_report
 
 def one(names, verdict="effects_found", rest=None):
-    effect = {"name": "odd_fatigue", "axes": ["memory", "time"]}
+    effect = {"name": "odd_fatigue", "axes": ["memory", "time"], "parameters": {}}
     axis = {"coulomb_drift": "time"}
     effects = [{"name": name, "accepted": True, "parameters": {}, "axis": axis.get(name, name.split(":")[-1])}
                for name in names]
@@ -155,6 +155,31 @@ def test_without_the_curve_of_its_kind_another_axis_or_a_reported_rest_is_right_
     assert found["kinds"]
     assert found["on_axis"] == [True, True, False]  # a drift names the time, which the effect depends on
     assert found["missed"] == ["wrong name or axis"]
+
+
+DESCRIBED = """
+import json
+import common
+from blind_drives.left_out import describes
+
+patch = {"name": "odd_stick_patch", "parameters": {"centre_rev": 0.98, "width_rev": 0.2, "fades_rps": 2.0}}
+tooth = {"name": "odd_alternate_turns", "parameters": {"turns": 4.0, "share": 0.5}}
+window = {"window_share": 0.4, "centre_rev": 0.03, "width_rev": 0.2, "pitch_rev": 1.0}
+law = "position_dependent_friction"
+print(json.dumps([
+    describes(law, window, patch), describes(law, {**window, "centre_rev": 0.2}, patch),
+    describes(law, {**window, "pitch_rev": 0.5}, patch), describes(law, {**window, "window_share": -0.4}, patch),
+    describes(law, {**window, "period_rev": 1.0}, patch), describes("dwell_stiction", window, patch),
+    describes(law, {"period_rev": 4.0}, tooth), describes("friction_ripple", {"order": 0.75}, tooth),
+    describes("friction_ripple", {"order": 0.9}, tooth), describes(law, {"period_rev": 9.0}, tooth),
+    describes(law, window, tooth), describes("cogging", {"order": 0.75}, tooth),
+]))
+"""
+
+
+def test_a_law_describes_an_effect_outside_the_library_by_its_numbers_and_not_by_its_name():
+    found = said(DESCRIBED)
+    assert found == [True, False, False, False, False, False, True, True, False, False, False, False]
 
 
 CALIBRATED = """

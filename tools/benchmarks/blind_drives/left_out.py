@@ -1,6 +1,8 @@
 """Leave one kind out: effects outside the library, diagnosed without the curves that serve their kind.
 
-Right: `unknown:` on a defensible axis, or a reported residual. Wrong: a law's name or another axis.
+Right: `unknown:` on a defensible axis, a law whose numbers describe the effect (a window where the sticky patch is, a
+wave of friction with the period of the damaged tooth or a part of it), or a reported residual. Wrong: any other name or
+axis.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ SERVED_BY: dict[str, frozenset[str]] = {
     "odd_cable": frozenset({"unknown:memory"}),
 }  # fmt: skip
 MOST_WRONG = 0.05
+PERIOD_ERROR = 0.01  # largest error of a period that describes the effect, relative
 ANGLE = {"output_angle": "motor_angle"}  # a place of every motor turn is one of the output too
 
 
@@ -42,31 +45,50 @@ class LeftOut(NamedTuple):
     seed: int
     kind: str
     said: str
-    outcome: str  # "right axis", "residual reported", "wrong" or "silent"
+    outcome: str  # "right axis", "described by a law", "residual reported", "wrong" or "silent"
     on_axis: bool  # the true effect depends on what is named; the angles of motor and output count as one
 
 
 def judge(truth: Mapping[str, Any], report: dict[str, Any]) -> LeftOut:
     """What became of the one effect of a drive whose kind was left out."""
     effect = truth["effects"][0]
-    names = [finding["name"] for finding in claimed(report)]
     allowed = {f"unknown:{axis}" for axis in effect["axes"]}
-    if any(name not in allowed for name in names):
-        outcome = "wrong"
-    elif names:
+    laws = [one for one in claimed(report) if one["name"] not in allowed]
+    if not claimed(report):
+        outcome = "residual reported" if residual_is_reported(report) else "silent"
+    elif not laws:
         outcome = "right axis"
     else:
-        outcome = "residual reported" if residual_is_reported(report) else "silent"
+        true = all(describes(one["name"], one["parameters"], effect) for one in laws)
+        outcome = "described by a law" if true else "wrong"
     on_axis = {ANGLE.get(one["axis"], one["axis"]) for one in claimed(report)} <= {
         ANGLE.get(axis, axis) for axis in effect["axes"]
     }
     return LeftOut(int(truth["seed"]), effect["name"], first_names(report), outcome, on_axis)
 
 
+def describes(law: str, numbers: Mapping[str, float], effect: Mapping[str, Any]) -> bool:
+    """Whether a law's numbers state what an effect outside the library is."""
+    true = effect["parameters"]
+    if effect["name"] == "odd_stick_patch" and law == "position_dependent_friction":
+        away_rev = (numbers.get("centre_rev", 0.0) - true["centre_rev"] + 0.5) % 1.0 - 0.5
+        return (
+            numbers.get("window_share", 0.0) > 0.0
+            and not numbers.get("period_rev", 0.0)
+            and abs(numbers.get("pitch_rev", 0.0) - 1.0) < PERIOD_ERROR
+            and abs(away_rev) < 0.5 * true["width_rev"]
+        )
+    if effect["name"] == "odd_alternate_turns" and law in ("friction_ripple", "position_dependent_friction"):
+        order = numbers["order"] if law == "friction_ripple" else 1.0 / (numbers.get("period_rev", 0.0) or float("inf"))
+        harmonic = order * true["turns"]
+        return round(harmonic) > 0 and abs(harmonic / round(harmonic) - 1.0) < PERIOD_ERROR
+    return False
+
+
 def left_out_report(judged: Sequence[LeftOut], ignored: Sequence[str]) -> Report:
     """Figures and a line a drive."""
     report = Report("blind_left_out", __doc__ or "")
-    for outcome in ("right axis", "residual reported", "wrong", "silent"):
+    for outcome in ("right axis", "described by a law", "residual reported", "wrong", "silent"):
         share = wilson(sum(one.outcome == outcome for one in judged), len(judged))
         if outcome == "wrong":
             report.bounded("wrong name or axis", str(share), share.value <= MOST_WRONG, f"<= {100 * MOST_WRONG:.0f} %")
