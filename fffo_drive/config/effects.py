@@ -60,9 +60,12 @@ def services(axis: AxisFile, model: ModelFile) -> list[EffectService]:
 
 
 def reason_against(effect: EffectModel) -> str | None:
-    """Why no feed-forward gives the torque of this effect; None where one does: it is decided, and known ahead."""
+    """Why no feed-forward gives the torque of this effect; None where one does: it is decided, and known ahead.
+
+    Forms of friction that the data do not separate are the same friction: one of them is as good as another.
+    """
     term = effect.term()
-    if effect.alternatives:
+    if not all(law_of(name).form for name in (effect.name, *effect.alternatives)) and effect.alternatives:
         members = " or ".join([effect.name, *effect.alternatives])
         return f"the data do not decide: {members}; record what does: `fffo-drive run AXIS --decide {effect.name}`"
     if not is_compensable(effect.name, term.values):

@@ -164,6 +164,16 @@ def test_what_cannot_be_given_ahead_is_left_out_with_its_reason():
     assert not compensation_gate(AXIS, with_effects(effect("elasticity", share=0.2, frequency_hz=40.0))).passed
 
 
+def test_forms_of_friction_that_the_data_do_not_separate_are_compensated_and_undecided_causes_are_not():
+    def reason(name, *alternatives):
+        model = with_effects(effect(name).model_copy(update={"alternatives": list(alternatives)}))
+        return services(AXIS, model)[0].reason
+
+    assert reason("presliding_shape", "stribeck_shape", "frictional_lag") is None
+    assert "second_surface or quadratic_drag" in reason("second_surface", "quadratic_drag")
+    assert "quadratic_drag or stribeck_shape" in reason("quadratic_drag", "stribeck_shape")
+
+
 def test_the_slope_over_the_angle_is_that_of_the_wave():
     config = MODEL.axis_config()
     cogging = Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.003, "order": 6.0})
