@@ -139,3 +139,10 @@ def test_orders_are_tried_where_the_slow_part_of_the_data_shows_them():
     assert max(slow) <= 0.25 / (PERIOD_S * LOW_RPS)
     assert max(motor_orders(context(slow_rps=TOP_RPS, **facts))) <= 0.25 / (PERIOD_S * TOP_RPS)
     assert motor_orders(context(**facts)) == motor_orders(context(slow_rps=0.05, **facts))  # not known: the slowest
+
+
+def test_a_window_that_comes_again_every_pitch_is_folded_onto_the_pitch():
+    fold = LAWS["position_dependent_friction"].fold
+    assert fold({"width_rev": 0.2, "pitch_rev": 1.0}) == ("motor_angle", 1.0)
+    assert fold({"width_rev": 0.2, "pitch_rev": 1.0, "period_rev": 3.0}) == ("motor_angle", 3.0)
+    assert fold({"width_rev": 0.2}) is None

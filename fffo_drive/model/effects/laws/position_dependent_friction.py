@@ -40,7 +40,7 @@ def _place(values: Mapping[str, float]) -> str:
 
 
 def _fold(values: Mapping[str, float]) -> Folded | None:
-    period_rev = values.get("period_rev", 0.0)
+    period_rev = values.get("period_rev", 0.0) or values.get("pitch_rev", 0.0)
     return ("motor_angle", period_rev) if period_rev > 0.0 else None
 
 
