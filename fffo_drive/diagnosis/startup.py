@@ -1,6 +1,7 @@
 """Start values of the fits: a regression for a rigid axis, and a grid for the remaining parameters.
 
-The regression includes a constant torque and a wave in the angle, which would otherwise bias the inertia.
+The regression includes a constant torque, where the runs turn both ways, and a wave in the angle: both would otherwise
+bias the inertia.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.coordinates import start_vector
-from ..identification.criterion import HUBER, huber
+from ..identification.criterion import DISTINCT, HUBER, huber
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
 from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
@@ -28,7 +29,7 @@ Floats = npt.NDArray[np.float64]
 DELAYS_S = tuple(0.001 * k for k in range(13))
 BUMPS = (0.03, 0.06, 0.12, 0.25)  # Stribeck speeds that are tried, in shares of the top speed
 REWEIGHTED = 3  # rounds of the robust regression
-LEAST_LEVEL = 0.01  # smallest friction, of the rms torque: a run in one direction may assign it to a constant
+LEAST_LEVEL = 0.01  # smallest friction, of the rms torque
 
 
 class Regression(NamedTuple):
@@ -63,7 +64,10 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
     velocity, top = rows.velocity_rps[used], float(np.quantile(np.abs(rows.velocity_rps[used]), 0.95))
     angle = 2.0 * np.pi * rows.position_rev[used]
     sign = np.tanh(velocity / (0.02 * top))
-    known = [rows.acceleration_rps2[used], velocity, sign, np.ones(used.size), np.cos(angle), np.sin(angle)]
+    # where all runs turn one way, a constant torque is part of the friction
+    one_way = abs(velocity.sum()) > (1.0 - DISTINCT) * np.abs(velocity).sum()
+    constant = np.full(used.size, 0.0 if one_way else 1.0)
+    known = [rows.acceleration_rps2[used], velocity, sign, constant, np.cos(angle), np.sin(angle)]
 
     def torque(delay_s: float) -> Floats:
         parts = [
