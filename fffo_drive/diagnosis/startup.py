@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..identification.coordinates import start_vector
-from ..identification.criterion import DISTINCT, HUBER, huber
+from ..identification.criterion import HUBER, huber
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
 from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
 from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
+from ..identification.rows import turns_one_way
 from ..identification.threads import in_threads
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
@@ -65,8 +66,7 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
     angle = 2.0 * np.pi * rows.position_rev[used]
     sign = np.tanh(velocity / (0.02 * top))
     # where all runs turn one way, a constant torque is part of the friction
-    one_way = abs(velocity.sum()) > (1.0 - DISTINCT) * np.abs(velocity).sum()
-    constant = np.full(used.size, 0.0 if one_way else 1.0)
+    constant = np.full(used.size, 0.0 if turns_one_way(sign) else 1.0)
     known = [rows.acceleration_rps2[used], velocity, sign, constant, np.cos(angle), np.sin(angle)]
 
     def torque(delay_s: float) -> Floats:
