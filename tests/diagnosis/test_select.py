@@ -157,7 +157,7 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
     alone, scored = scored, scored_fit(data, fitted)
     assert selector()._chance(data, alone, scored, 0, note.tried) == pytest.approx(2000 * SMALLEST_P)
     for refit in (False, True):
-        judged = selector()._judged(data, scored, 0, note, refit)
+        judged = selector()._judged(data, scored, 0, note, refit, [])
         assert judged.p == pytest.approx(2000 * SMALLEST_P)
     assert without(data, scored, [0], True).fitted.effects == ()
     assert selector()._is_idle(replace(judged, p=0.5))  # by now it may be chance
@@ -341,8 +341,11 @@ def test_a_curve_stands_only_where_it_says_more_than_any_law():
     assert not names(found("wave", "torque_offset"))
 
 
-@pytest.mark.parametrize(("load", "stands"), [("wave", "cogging"), ("peaked", "unknown:motor_angle")])
-def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(load, stands):
+@pytest.mark.parametrize(
+    ("load", "stands"), [("wave", "cogging"), ("peaked", "cogging"), ("waves", "unknown:motor_angle")]
+)
+def test_a_law_takes_the_place_of_a_curve_where_it_has_most_of_its_gain(load, stands):
+    """Of all, of nine tenths, and of half of what the curve explains."""
     before = found(load, "torque_offset", ablate=frozenset())
     assert names(before)[0] == "unknown:motor_angle"
     search = selector("cogging", ablate=())
@@ -350,7 +353,35 @@ def test_a_law_takes_the_place_of_a_curve_that_unseen_rows_do_not_prefer_to_it(l
     _, after, accepted = search._replaced_curves(before.data, scored, list(before.accepted))
     assert after.fitted.effects[0].name == stands
     assert [note.name for note in accepted] == [e.name for e in after.fitted.effects]
-    assert (after is scored) == (load == "peaked")
+    assert (after is scored) == (load == "waves")
+
+
+def test_what_a_curve_over_another_laws_axis_is_judged_beside():
+    curve = found("wave", "torque_offset", ablate=frozenset()).fitted.effects[0]
+    over_speed = replace(curve, name="unknown:velocity")
+    laws = [
+        effect("quadratic_drag", {"drag_nm_per_rps2": 1e-6}),
+        effect("torque_ripple", {"cos_share": 0.1}, order=5.0),
+    ]
+    effects = (*laws, effect("cogging", {"cos_nm": 1e-3}, order=5.0), curve, over_speed)
+    scored = ScoredFit(Fitted(np.zeros(1), effects, 1.0, np.zeros(1), np.zeros(1)), np.zeros((1, 1)), np.zeros(1))
+    assert [select._set_aside(scored, k) for k in range(5)] == [[], [], [3, 4], [], []]
+    assert [select._set_aside(scored, k, own_axis=True) for k in range(5)] == [[4], [3], [3, 4], [], []]
+
+
+def test_a_law_that_is_needed_beside_a_curve_over_its_axis_is_judged_without_it():
+    data, _, _ = at_the_start("waves")
+    curve = found("waves", "torque_offset", ablate=frozenset()).fitted.effects[0]
+    ripple = effect("friction_ripple", {"cos_share": 0.05, "sin_share": 0.0}, order=3.0)
+    both = scored_fit(data, fit(data, data.start, [ripple, curve], iterations=8))
+    note = Accepted("friction_ripple", Gain(1.0, 0.1, np.zeros(1)), 0.0, 0.1, (), (), 10)
+    beside, alone = (
+        selector()._judged(data, both, 0, note, True, select._set_aside(both, 0, own_axis))
+        for own_axis in (False, True)
+    )
+    assert beside.share != pytest.approx(alone.share)
+    apart = [fit(data, both.fitted.physical, effects) for effects in ((), (both.fitted.effects[0],))]
+    assert alone.share == pytest.approx(share_gone(*apart))
 
 
 def test_a_curve_is_held_where_only_a_datum_is_fitted():
