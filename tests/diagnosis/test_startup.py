@@ -6,7 +6,6 @@ from diagnosis.planted import (
     DELAY_S,
     FACTS,
     INERTIA,
-    KT,
     PERIOD_S,
     TRUTH,
     based,
@@ -18,7 +17,7 @@ from diagnosis.planted import (
 from fffo_drive.diagnosis.base import NAMES
 from fffo_drive.diagnosis.fitting import evaluate
 from fffo_drive.diagnosis.rows import make_filter, rows_of, stretches_of
-from fffo_drive.diagnosis.startup import LEAST_LEVEL, regressed, rigid_start, starting_data
+from fffo_drive.diagnosis.startup import regressed, rigid_start, starting_data
 from fffo_drive.identification.dataset import DataError
 
 
