@@ -534,13 +534,15 @@ def refitted(data: Data, fitted: Fitted, one: Proposal, promised: float, two_sta
 
     Its linear strengths belong to a base that would move too; it therefore starts at zero strength, and the first step
     moves both. A base fitted without the effect is biased and may be far from its optimum: a refit that keeps less than
-    KEPT of the promise is repeated from the start of the base.
+    KEPT of the promise is repeated from a rigid base, as on the ladder.
     """
     nothing = replace(one.effect, strengths={name: np.zeros_like(v) for name, v in one.effect.strengths.items()})
     found = fit(data, fitted.physical, [*fitted.effects, nothing], ITERATIONS)
     if not two_starts or one.name.startswith(UNKNOWN) or 1.0 - found.energy / fitted.energy > KEPT * promised:
         return found
-    again = fit(data, data.start, [*fitted.effects, one.effect], ITERATIONS)
+    rigid = rigid_of(data)
+    simple = fit(rigid, rigid.start, [*fitted.effects, one.effect], ITERATIONS)
+    again = fit(data, simple.physical, simple.effects, ITERATIONS)
     return again if again.loss < found.loss else found
 
 
