@@ -60,7 +60,12 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
     load = load_rows(data.rows, scenes, effect)
     place = _place(data, scenes, effect.name, dict(effect.shapes))
     kept = np.flatnonzero(data.rows.kept & np.isfinite(place.values))
-    before = fitted.residual_nm + load
+    law = law_of(effect.name)
+    # a friction that varies over place or time has the sign of the motion: over both directions its mean is zero
+    turned = law.level and law.picture in (*ANGLES, "time")
+    sense = np.sign(data.rows.velocity_rps) if turned else np.ones(load.size)
+    load, left = load * sense, fitted.residual_nm * sense
+    before = left + load
     edges = bin_edges(place.values[kept])
     curves: list[FoundCurve] = []
     for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
@@ -68,7 +73,7 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
         window = data.rows.folds.window[rows]
         shown = shown_bins(bins, window, edges.size - 1)
         x = binned(place.values[rows], bins, edges.size - 1)[shown]
-        clouds = [("without the effect", before), ("with it", fitted.residual_nm)][: 1 if where else 2]
+        clouds = [("without the effect", before), ("with it", left)][: 1 if where else 2]
         for label, values in clouds:
             mean, reach = interval(values[rows], bins, window, edges.size - 1)
             curves.append(
@@ -77,13 +82,14 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
         says = binned(load[rows], bins, edges.size - 1)[shown]
         curves.append(FoundCurve("torque of the effect" + where, x, says, kind="line"))
     return Picture(
-        title=f"{law_of(effect.name).plain_name}, over {place.label}".capitalize(),
+        title=f"{law.plain_name}, over {place.label}".capitalize(),
         x_label=place.label,
         x_unit=place.unit,
-        y_label="residual torque",
+        y_label="residual friction" if turned else "residual torque",
         y_unit="Nm",
         curves=tuple(curves),
-        note="Fit runs together; intervals from the means of half-second windows.",
+        note="Fit runs together; intervals from the means of half-second windows."
+        + (" Positive against the motion." if turned else ""),
     )
 
 

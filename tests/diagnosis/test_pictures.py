@@ -89,6 +89,16 @@ def test_the_picture_of_a_wave_is_folded_onto_its_period_and_shows_what_the_effe
     assert np.corrcoef(says.y, np.cos(2 * np.pi * says.x))[0, 1] > 0.95
 
 
+def test_friction_that_varies_over_the_angle_is_shown_against_the_motion_and_not_as_its_mean_of_both_directions():
+    data = seen(moved_record(3))
+    effect = Effect("friction_ripple", {"order": 2.0}, {"cos_share": np.array([0.3]), "sin_share": np.array([0.0])})
+    without, _, says = picture(data, model(np.zeros(data.rows.time_s.size), [effect]), 0).curves
+    assert without.y == pytest.approx(says.y, abs=1e-12)
+    assert np.corrcoef(says.y, np.cos(2 * np.pi * says.x))[0, 1] > 0.9
+    level_nm = TRUTH[NAMES.index("coulomb_nm")]
+    assert 0.3 * level_nm < np.ptp(says.y) < 1.2 * level_nm  # at most twice 0.3 of Fs
+
+
 def test_the_residual_over_time_keeps_its_extremes():
     data = seen(moved_record(3))
     residual = np.zeros(data.rows.time_s.size)
