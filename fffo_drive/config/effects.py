@@ -19,7 +19,7 @@ from ..control.reference import MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import condition_14_nm_per_rev, loop_margins
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
-from ..model.effects.registry import is_compensable, law_of
+from ..model.effects.registry import LAWS, is_compensable, law_of
 from ..model.effects.table import Term, along_into, effect_table
 from ..model.parameters import EffectModel, ModelFile
 
@@ -65,8 +65,9 @@ def reason_against(effect: EffectModel) -> str | None:
     Forms of friction that the data do not separate are the same friction: one of them is as good as another.
     """
     term = effect.term()
-    if not all(law_of(name).form for name in (effect.name, *effect.alternatives)) and effect.alternatives:
-        members = " or ".join([effect.name, *effect.alternatives])
+    family = [effect.name, *effect.alternatives]
+    if effect.alternatives and not all(name in LAWS and LAWS[name].form for name in family):
+        members = " or ".join(family)
         return f"the data do not decide: {members}; record what does: `fffo-drive run AXIS --decide {effect.name}`"
     if not is_compensable(effect.name, term.values):
         return "its torque is not known in advance"

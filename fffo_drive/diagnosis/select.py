@@ -183,7 +183,7 @@ class Selector:
                 self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
         data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
-        for k, note in enumerate(accepted):  # each was needed beside a curve over its axis, and is much more without it
+        for k, note in enumerate(accepted):  # a law that is needed even beside a curve over its own axis
             if _set_aside(scored, k) != (containing := _set_aside(scored, k, True)):
                 accepted[k] = self._judged(data, scored, k, note, True, containing)
         assert self.ladder is not None
@@ -348,8 +348,7 @@ class Selector:
                 scored_fit(data, fit(data, physical, effects)).unseen
                 for physical, effects in ((bare.physical, left), (fitted.physical, fitted.effects))
             )
-            own, replaced = (gain(alone, unseen, data.folds).value for unseen in (scored.unseen, law))
-            if replaced > LAW_OF_CURVE * own:
+            if gain(alone, law, data.folds).value > LAW_OF_CURVE * gain(alone, scored.unseen, data.folds).value:
                 data, scored, accepted = found
         return data, scored, accepted
 

@@ -145,7 +145,8 @@ judged = [one(["unknown:time"]), one(["coulomb_drift"]), one(["unknown:velocity"
           one([], "no_effect_found", {"rms_nm": 1.0}), one([], "no_effect_found")]
 report = left_out_report(judged, [])
 print(json.dumps({"outcomes": [j.outcome for j in judged], "kinds": sorted(SERVED_BY) == sorted(ODD_AXES),
-                  "on_axis": [j.on_axis for j in judged[:3]], "missed": report.missed}))
+                  "on_axis": [j.on_axis for j in judged[:3]], "described": [j.described for j in judged[:3]],
+                  "missed": report.missed}))
 """
 
 
@@ -154,6 +155,7 @@ def test_without_the_curve_of_its_kind_another_axis_or_a_reported_rest_is_right_
     assert found["outcomes"] == ["right axis", "wrong", "wrong", "residual reported", "residual reported", "silent"]
     assert found["kinds"]
     assert found["on_axis"] == [True, True, False]  # a drift names the time, which the effect depends on
+    assert found["described"] == [True, False, False]
     assert found["missed"] == ["wrong name or axis"]
 
 

@@ -170,6 +170,7 @@ def test_forms_of_friction_that_the_data_do_not_separate_are_compensated_and_und
         return services(AXIS, model)[0].reason
 
     assert reason("presliding_shape", "stribeck_shape", "frictional_lag") is None
+    assert "a law of another version" in reason("second_surface", "a law of another version")
     assert "second_surface or quadratic_drag" in reason("second_surface", "quadratic_drag")
     assert "quadratic_drag or stribeck_shape" in reason("quadratic_drag", "stribeck_shape")
 
