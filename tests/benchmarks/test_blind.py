@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import subprocess
 import sys
@@ -15,10 +15,9 @@ from fffo_drive.identification.dataset import load_records
 from fffo_drive.identification.facts import read_facts
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-spec = importlib.util.spec_from_file_location("blind_score", BENCHMARKS / "blind_drives" / "score.py")
-score = importlib.util.module_from_spec(spec)
-sys.modules["blind_score"] = score
-spec.loader.exec_module(score)
+with pytest.MonkeyPatch.context() as patch:
+    patch.syspath_prepend(BENCHMARKS)
+    score = importlib.import_module("blind_drives.score")
 
 READ_BACK = """
 import json, sys

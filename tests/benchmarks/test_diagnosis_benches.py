@@ -103,9 +103,9 @@ whole = [k for k in range(6, 73) if k not in (8, 12)]
 many = np.isin(orders, whole)
 real, tried = generate._calibrated, []
 
-def reluctant(plant, gains, asked, name, draw):
+def reluctant(plant, gains, asked, name, draw, kinds):
     tried.append(name)
-    return None if len(tried) < 3 else real(plant, gains, asked, "torque_offset", draw)
+    return None if len(tried) < 3 else real(plant, gains, asked, "torque_offset", draw, kinds)
 
 generate._calibrated = reluctant
 seed = next(k for k in range(100) if kind_of(k) == (1, False))
@@ -126,6 +126,21 @@ def test_waves_of_many_periods_are_drawn_and_a_hard_name_gets_another_drive():
     assert sorted(found["odd"]) == found["all"]
     assert found["plants"] == 3
     assert found["tried"] == [found["first"]] * 3
+
+
+STRONG = """
+import json
+import common
+from blind_drives.draw import STRONG_WAVES
+from blind_drives.generate import make_drive
+from blind_drives.score import _is_target_wave
+drives = [make_drive(seed, kinds=STRONG_WAVES).truth() for seed in (3, 4, 5)]
+print(json.dumps([[e["name"], _is_target_wave(e)] for drive in drives for e in drive["effects"]]))
+"""
+
+
+def test_a_set_of_strong_waves_has_one_in_every_drive_and_each_kind_in_turn():
+    assert said(STRONG) == [["cogging", True], ["torque_ripple", True], ["friction_ripple", True]]
 
 
 JUDGED = """

@@ -11,7 +11,7 @@ from pathlib import Path
 from common import finish
 from engine import Call, in_parallel
 
-from .draw import MIXED, ODD
+from .draw import MIXED, ODD, STRONG_WAVES
 from .generate import make_drive, write_drive, write_truth
 from .left_out import SERVED_BY, judge, left_out_report
 from .run import diagnose_folder, floor_of
@@ -64,8 +64,10 @@ def parser() -> argparse.ArgumentParser:
     generate.add_argument("--out", type=Path, required=True)
     generate.add_argument("--friction", choices=FRICTIONS, default=FRICTIONS[0], help="base friction of the plant")
     generate.add_argument(
-        "--kinds", choices=(MIXED, ODD), default=MIXED, help="odd: only effects of no library, each once in ten seeds"
-    )
+        "--kinds", choices=(MIXED, ODD, STRONG_WAVES), default=MIXED,
+        help="odd: only effects of no library, each once in ten seeds; waves: only waves of 12 to 72 periods a turn "
+        "and at least 15 %% of Coulomb friction",
+    )  # fmt: skip
     generate.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
     generate.set_defaults(execute=_generate)
     run = commands.add_parser(

@@ -2,7 +2,8 @@
 
 Of five seeds in a row three have effects: of six such drives four have one of the library, one has two, and one has an
 effect that is in no library. The order of names is a permutation per round, so that each comes as often as another.
-Drives of the odd kinds alone come in turn: each of the ten once in ten seeds.
+Drives of the odd kinds alone come in turn: each of the ten once in ten seeds. So do drives with one wave of 12 to 72
+periods a turn and at least 15 % of Coulomb friction: cogging, torque ripple and friction ripple.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ ODD_AXES = {
 }
 ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 MANY_PERIODS = range(4, 73)  # waves a turn: slots, poles and their least common multiple
-MIXED, ODD = "mixed", "odd"  # what a set is drawn from
+MIXED, ODD, STRONG_WAVES = "mixed", "odd", "waves"  # what a set is drawn from
 WAVES = ("cogging", "torque_ripple", "friction_ripple")
+FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12, 72, 0.15  # a turn; amplitude over Coulomb friction, of a strong wave
 SMALL_MOTOR_A = 2.5
 WITH_EFFECTS = 3  # of
 OF_SEEDS = 5
@@ -55,6 +57,7 @@ class Variant:
     highest: float
     sign: float
     fixed: dict[str, float]
+    least_share: float = 0.0  # of the friction torque, or of its rms where the effect is a wave of many periods
 
     @property
     def first(self) -> float:
@@ -70,8 +73,8 @@ class Variant:
 
 def kind_of(seed: int, kinds: str = MIXED) -> tuple[int, bool]:
     """How many effects a drive of this seed has, and whether one is in no library."""
-    if kinds == ODD:
-        return 1, True
+    if kinds != MIXED:
+        return 1, kinds == ODD
     place = seed % OF_SEEDS
     if place >= WITH_EFFECTS:
         return 0, False
@@ -83,6 +86,8 @@ def effect_names(seed: int, kinds: str = MIXED) -> list[str]:
     """Names of which the first is that of this seed; the others may stand beside it."""
     if kinds == ODD:
         return [sorted(ODD_AXES)[seed % len(ODD_AXES)]]
+    if kinds == STRONG_WAVES:
+        return [WAVES[seed % len(WAVES)]]
     _, odd = kind_of(seed)
     known = sorted(name for name in EFFECTS if name.startswith("odd_") == odd)
     left = [name for name in known if name not in IN_THE_BASE and name != "thermal_drift"]
@@ -147,10 +152,14 @@ def chirp_current_a(plant: PlantConfig) -> float:
     return min(1.1, (friction.coulomb_nm + 36.0 * friction.viscous_nm_per_rps) / plant.torque_constant_nm_per_a)
 
 
-def variant(draw: Draw, name: str) -> Variant:
+def variant(draw: Draw, name: str, kinds: str = MIXED) -> Variant:
     """Everything about an effect but its strength."""
     make = _VARIANTS[name]
-    return make(draw, name)
+    drawn = make(draw, name)
+    if kinds == STRONG_WAVES:
+        order = round(_log(FEWEST_PERIODS, MOST_PERIODS)(draw))
+        return replace(drawn, fixed={**drawn.fixed, "order": float(order)}, least_share=STRONG_SHARE / math.sqrt(2.0))
+    return drawn
 
 
 def _one(

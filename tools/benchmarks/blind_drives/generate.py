@@ -100,7 +100,7 @@ class BlindDrive:
 
 
 def make_drive(seed: int, friction: str = "single_2sep", kinds: str = MIXED) -> BlindDrive:
-    """The drive of a seed. `friction`: "single_2sep" or "five_surfaces"; `kinds`: MIXED, or ODD for those alone.
+    """The drive of a seed. `friction`: "single_2sep" or "five_surfaces"; `kinds`: MIXED, ODD or STRONG_WAVES.
 
     Raises RuntimeError where none of `MOST_PLANTS` plants can have the effect whose turn it is.
     """
@@ -113,7 +113,7 @@ def make_drive(seed: int, friction: str = "single_2sep", kinds: str = MIXED) -> 
         asked = profiles(seed, chirp_current_a(plant))
         if not names:
             return _with(seed, plant, gains, asked, ())
-        first = _calibrated(plant, gains, asked, names[0], draw)
+        first = _calibrated(plant, gains, asked, names[0], draw, kinds)
         if first is None:
             continue
         drive = _with(seed, plant, gains, asked, (first,))
@@ -134,10 +134,10 @@ def _with(
 
 
 def _calibrated(
-    plant: PlantConfig, gains: Gains, asked: tuple[Profile, ...], name: str, draw: np.random.Generator
+    plant: PlantConfig, gains: Gains, asked: tuple[Profile, ...], name: str, draw: np.random.Generator, kinds: str
 ) -> Calibrated | None:
     for _ in range(DRAWS_OF_A_NAME):
-        found = calibrate(plant, gains, asked, variant(draw, name), draw)
+        found = calibrate(plant, gains, asked, variant(draw, name, kinds), draw)
         if found is not None:
             return found
     return None
@@ -155,7 +155,7 @@ def _with_partner(
     draw = np.random.default_rng((seed, 3))
     others = [n for n in names if n not in (first.variant.name, "torque_saturation") and not _alike(n, first)]
     for name in draw.permutation(others)[:MOST_PARTNERS]:
-        second = _calibrated(plant, gains, asked, str(name), draw)
+        second = _calibrated(plant, gains, asked, str(name), draw, MIXED)
         if second is None:
             continue
         ordered = tuple(sorted((first, second), key=lambda found: -found.share))

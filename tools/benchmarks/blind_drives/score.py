@@ -19,11 +19,12 @@ import numpy as np
 
 from fffo_drive.units import NORMAL_95
 
+from .draw import FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE
+
 LEAST_REMOVABLE = 0.1  # of the squared error that stays: below it the held-out run hardly shows the effect
 RESAMPLES = 4000
 CORES = 2.0  # that a diagnosis may have, by its target
 NOTHING = "(nothing)"
-FEWEST_PERIODS, MOST_PERIODS, STRONG_SHARE = 12.0, 72.0, 0.15  # a turn; amplitude over Coulomb friction
 ORDER_TOLERANCE = 0.01  # of a wave's order, for its name to count
 
 

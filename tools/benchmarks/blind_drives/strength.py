@@ -31,7 +31,7 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 LOWEST, HIGHEST = 0.05, 0.30  # share of the friction torque that an effect has after the refit
 CLOSE_ENOUGH = 1.2
 TRIALS = 7
-MOST_PERIODS = 8.0  # a turn, of a wave that the balance shows at the usual speeds
+SHOWN_PERIODS = 8.0  # most a turn of a wave that the balance shows at the usual speeds
 CUTOFF_HZ = 60.0
 DECIMATION = 10
 MOVING_RPS = 0.05
@@ -196,8 +196,9 @@ def calibrate(
     plant: PlantConfig, gains: Gains, asked: tuple[Profile, ...], variant: Variant, draw: Draw
 ) -> Calibrated | None:
     """The strength at which the effect has a drawn share of the friction torque. None: this effect cannot have it."""
-    wanted = float(np.exp(draw.uniform(math.log(LOWEST * 1.15), math.log(HIGHEST / 1.1))))
-    if variant.name in WAVES and variant.fixed["order"] > MOST_PERIODS:
+    least = max(LOWEST * 1.15, variant.least_share)
+    wanted = float(np.exp(draw.uniform(math.log(least), math.log(HIGHEST / 1.1))))
+    if variant.name in WAVES and variant.fixed["order"] > SHOWN_PERIODS:
         return _wave(plant, gains, asked, variant, wanted)
     low, high = variant.lowest, variant.highest
     size = variant.first
