@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from ..config.axis import loop_axis, read_axis
+from ..config.axis import hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import commissioned_delay_s
 from ..control.stability import linear_axis
 from ..documents import parse, read_text
@@ -72,7 +72,7 @@ def execute(options: argparse.Namespace) -> int:
     axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
     measured_s = commissioned_delay_s(options.axis, axis_file) if axis_file else None
-    tuned = tune(model, axis, wish, measured_s)
+    tuned = tune(model, axis, wish, measured_s, hold_dead_band_rev(axis_file))
     found = tuned.design
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)

@@ -16,7 +16,7 @@ from ..control.controller import ControllerConfig, RestConfig
 from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
 from ..control.pi import PiConfig
-from ..control.position_hold import NO_HOLD, HoldConfig
+from ..control.position_hold import NO_HOLD, HoldConfig, held_travel_rev
 from ..control.reference import (
     MODE_CURRENT,
     MODE_VELOCITY,
@@ -66,7 +66,6 @@ from .sections import (
     length_problems,
 )
 
-HELD_DEAD_BANDS = 32.0  # the least travel after which a held axis counts as moved: a fitted 1/K may be far too short
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 RING_S = 4.0  # what the recorder may lag behind the loop on a bus
@@ -205,15 +204,24 @@ def hold_config(axis: AxisFile, model: ModelFile) -> HoldConfig:
     section, friction = axis.controller.at_rest, model.friction_config()
     if section.hold_a_per_rev_s == 0.0:
         return NO_HOLD
-    counts = axis.drive.counts if isinstance(axis.drive, CanopenDriveSection) else 2.0**DEFAULT_RESOLVER_BITS
-    dead_band_rev = section.hold_dead_band_rev or 1.0 / counts
+    dead_band_rev = hold_dead_band_rev(axis)
     least_nm = least_sliding_nm(friction, axis.envelope.speed_limit_rps)
     return HoldConfig(
         section.hold_a_per_rev_s,
         dead_band_rev,
-        max(1.0 / friction.stiffness_per_rev, HELD_DEAD_BANDS * dead_band_rev),
+        held_travel_rev(friction.stiffness_per_rev, dead_band_rev),
         section.hold_bound_share * least_nm / model.torque_constant_nm_per_a,
     )
+
+
+def hold_dead_band_rev(axis: AxisFile | None) -> float:
+    """The distance that the hold does not correct: the resolution of the position, unless the file has one."""
+    counts = 2.0**DEFAULT_RESOLVER_BITS
+    if axis is None:
+        return 1.0 / counts
+    if isinstance(axis.drive, CanopenDriveSection):
+        counts = axis.drive.counts
+    return axis.controller.at_rest.hold_dead_band_rev or 1.0 / counts
 
 
 def error_share(time_constant_s: float, period_s: float) -> float:

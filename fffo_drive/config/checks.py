@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..can.load import Chain, Load
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import Margins, condition_14_nm_per_rev, loop_delay_s, loop_margins, stuck_axis
+from ..control.stability import Margins, condition_14_nm_per_rev, loop_delay_s, loop_margins, stuck_axes, worst_margins
 from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
 from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
@@ -16,7 +16,7 @@ from ..drive.canopen.object_map import MappingError
 from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
-from .axis import AxisFile, loop_axis
+from .axis import AxisFile, hold_dead_band_rev, loop_axis
 from .drive_section import CanopenDriveSection
 from .resolution import resolution_of
 from .sections import VelocitySection
@@ -50,13 +50,16 @@ def _delay_ms(axis: AxisFile, model: ModelFile) -> float:
 def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
     """Margins at rest, where the contact sticks and the gains are those at rest."""
     section = axis.controller
-    return loop_margins(
-        stuck_axis(loop_axis(axis, model), model),
-        section.at_rest.gain_share * section.proportional_a_per_rps,
-        section.at_rest.gain_share * section.integral_a_per_rev,
-        0.0,
-        section.error_filter_s,
-        section.at_rest.hold_a_per_rev_s,
+    return worst_margins(
+        loop_margins(
+            stuck,
+            section.at_rest.gain_share * section.proportional_a_per_rps,
+            section.at_rest.gain_share * section.integral_a_per_rev,
+            0.0,
+            section.error_filter_s,
+            section.at_rest.hold_a_per_rev_s,
+        )
+        for stuck in stuck_axes(loop_axis(axis, model), model, hold_dead_band_rev(axis))
     )
 
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 from ..jit import njit
 
+HELD_DEAD_BANDS = 32.0  # the least travel after which a held axis counts as moved: a fitted 1/K may be far too short
 SETTLED = 0.99  # of the way to the gains at rest: the friction torque has gone by then, and the contact is unloaded
 
 
@@ -31,6 +32,11 @@ class HoldConfig(NamedTuple):
     dead_band_rev: float  # a distance that is not corrected: the resolution of the position
     travel_rev: float  # farther than this the axis has slid
     bound_a: float  # of the current; 0: no hold
+
+
+def held_travel_rev(stiffness_per_rev: float, dead_band_rev: float) -> float:
+    """The travel of a contact, 1/K, at least so far that it can be seen."""
+    return max(1.0 / stiffness_per_rev, HELD_DEAD_BANDS * dead_band_rev)
 
 
 NO_HOLD = HoldConfig(0.0, 0.0, 0.0, 0.0)

@@ -22,12 +22,15 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ..model.friction import FrictionConfig, steady_friction_nm
 from ..model.parameters import ModelFile
+from .position_hold import held_travel_rev
 from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
 
 Floats = npt.NDArray[np.float64]
@@ -37,6 +40,8 @@ ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elast
 SWEEP_LOW_HZ = 1e-2
 SWEEP_HIGH_HZ = 1e4
 SWEEP_POINTS = 20_000
+STICK_SLIP_SPEEDS = np.geomspace(0.05, 5.0, 25)  # over the Stribeck velocity: the range in which the curve falls
+SLOPE_STEP = 1e-3  # of the speed, for the slope of the Stribeck curve
 
 
 class ElasticLoad(NamedTuple):
@@ -185,8 +190,53 @@ def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorC
     )
 
 
-def stuck_axis(sliding: LinearAxis, model: ModelFile) -> LinearAxis:
-    """The same axis at rest, on an unloaded contact: dF/dx of (2) and (3) at F = 0 is Fc K + B."""
+def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, LinearAxis]:
+    """The same axis at rest, on its contact as stiff and as soft as a hold of the position meets it.
+
+    Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Over the travel that is held, no contact is stiffer than the
+    secant of Fs; where the travel 1/K is less than the position can show, a fit knows no more than that.
+    """
     friction = model.friction_config()
-    stiffness = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
-    return sliding._replace(contact_nm_per_rev=stiffness)
+    stiff = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
+    soft = friction.static_nm / held_travel_rev(friction.stiffness_per_rev, dead_band_rev)
+    return sliding._replace(contact_nm_per_rev=stiff), sliding._replace(contact_nm_per_rev=min(stiff, soft))
+
+
+def stick_slip_rps(
+    axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, float, float]
+) -> tuple[float, float] | None:
+    """The slowest and the fastest speed at which the axis would stick and slip under Kp, Ki and L; None: at none.
+
+    Where the Stribeck curve falls, friction has negative damping. By (3) it follows its level over the travel S/B, so
+    that linearised dF = S'(w) dw / (1 + s S/(B w)).
+    """
+    speeds_rps = friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS
+    found = [float(speed_rps) for speed_rps in speeds_rps if not _slides(axis, friction, gains, float(speed_rps))]
+    return (found[0], found[-1]) if found else None
+
+
+def _slides(axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, float, float], speed_rps: float) -> bool:
+    """Whether the loop is stable at a speed: Mikhailov's criterion, by the phase of the characteristic function beside
+    that of the same loop without delay on friction that rises, which is passive.
+    """
+    proportional_a_per_rps, integral_a_per_rev, observer_nm_per_rev = gains
+    omega = sweep_rad_per_s()
+    s, kt = 1j * omega, axis.torque_constant_nm_per_a
+    before_nm, level_nm, after_nm = (
+        steady_friction_nm(friction, share * speed_rps) for share in (1.0 - SLOPE_STEP, 1.0, 1.0 + SLOPE_STEP)
+    )
+    slope = (after_nm - before_nm) / (2.0 * SLOPE_STEP * speed_rps) - friction.viscous_nm_per_rps
+    follows = 1.0 + s * level_nm / (friction.attraction_nm_per_rev * speed_rps)
+    plant = s * impedance_nm_per_rps(axis, s)
+    controller = s * proportional_a_per_rps * kt + integral_a_per_rev * kt + observer_nm_per_rev
+    loop = follows * (plant + controller * np.exp(-s * axis.delay_s)) + s * slope
+    passive = follows * (plant + controller) + s * abs(slope)
+    turned, most = (float(np.subtract(*np.unwrap(np.angle(values))[[-1, 0]])) for values in (loop, passive))
+    return turned > most - 0.5 * math.pi  # each unstable pole takes half a turn
+
+
+def worst_margins(found: Iterable[Margins]) -> Margins:
+    """The smallest phase margin, with its crossover, and the smallest gain margin."""
+    known = list(found)
+    least = min(known, key=lambda one: one.phase_deg)
+    return least._replace(gain=min(one.gain for one in known))

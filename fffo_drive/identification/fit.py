@@ -21,7 +21,7 @@ from .coordinates import (
     to_physical,
 )
 from .dataset import SAME_RATE, DataError, Record
-from .effects_fit import FittedEffect, effects_of, joint_coordinates, scales_of
+from .effects_fit import COULOMB, STATIC, FittedEffect, effects_of, joint_coordinates, scales_of
 from .facts import DriveFacts
 from .kinematics import low_pass
 from .ladder import Ladder, climb
@@ -133,6 +133,7 @@ def fit_records(
         other = frame.of(make_problem(records, ratio * bandwidth_hz))
         others.append(refine(other, space, solve(other, space, solution.values, 8), 1).values)
     solution, disagreement = mean_of_fits(problem, space, solution, others)
+    solution = _levels_in_order(solution)
     tell(0.91, "uncertainty")
     physical = to_physical(solution.values, space.scale)
     uncertainty = uncertainty_of(problem, space, solution, bias, disagreement)
@@ -234,6 +235,13 @@ def mean_of_fits(
     return solution._replace(values=mean, cost=cost), Disagreement(fits.std(axis=0, ddof=1), len(fits))
 
 
+def _levels_in_order(solution: Solution) -> Solution:
+    """The solution with Fs of at least Fc: no contact holds less than it drags."""
+    values = solution.values.copy()
+    values[STATIC] = max(values[STATIC], values[COULOMB])
+    return solution._replace(values=values)
+
+
 def _literal(problem: Problem, space: Coordinates, solution: Solution, period_s: float, frame: _Frame) -> float | None:
     """Loss of the literal Stribeck curve (exponent < 0) over that of the classical one, both fitted."""
     names = PARAMETERS
@@ -291,6 +299,11 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
             symbol = SYMBOLS[name].symbol if name in SYMBOLS else name  # of an effect: effect.parameter
             found.append(f"{symbol} stands at a bound of the fit: the data contradict this part of the model")
+    values = dict(zip(space.names, solution.values, strict=True))
+    if "static_nm" in values and values["static_nm"] == values["coulomb_nm"]:
+        found.append(
+            "Fs came out below Fc and is written as Fc: the logs have too few slow speeds, or friction rises with speed"
+        )
     if literal_loss is not None and literal_loss < 0.995:
         found.append(
             f"the rising (literal) Stribeck curve fits better: its loss is {literal_loss:.3f} times the falling one's"

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..model.effects.registry import law_of
 from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
 from .dataset import Record
 from .facts import DriveFacts
@@ -119,7 +120,7 @@ def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | Non
             chosen.append(best)
     while chosen:
         found = [_given_others(bench, chosen, k, max(tried, 1)) for k in range(len(chosen))]
-        weak = [k for k, one in enumerate(found) if not _stands(one)]
+        weak = [k for k, one in enumerate(found) if not stands(one)]
         if not weak:
             return Ladder(tuple(found), _improved(bench, chosen, start), tried, cutoff_hz)
         # of two equivalent candidates neither is needed given the other: the higher rung is removed first
@@ -365,8 +366,17 @@ def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, trie
     )  # fmt: skip
 
 
-def _stands(one: AcceptedEffect) -> bool:
-    return one.gain > SDS * one.gain_sd and one.share > LEAST_SHARE and one.p <= LARGEST_P
+def stands(one: AcceptedEffect) -> bool:
+    """Whether the evidence for an effect, given all others, is enough, and its size one that the law permits."""
+    return one.gain > SDS * one.gain_sd and one.share > LEAST_SHARE and one.p <= LARGEST_P and _is_possible(one)
+
+
+def _is_possible(one: AcceptedEffect) -> bool:
+    """Whether the law permits these strengths: of two columns that are nearly one, each takes what the other adds."""
+    strengths = {parameter.name: parameter for parameter in law_of(one.candidate.name).strengths}
+    limits = [strengths[name] for name in one.candidate.strengths]
+    by_run = one.coefficients.reshape(-1, len(limits))
+    return all(p.low <= value <= p.high for row in by_run for p, value in zip(limits, row, strict=True))
 
 
 def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueStart) -> TorqueStart:

@@ -13,13 +13,13 @@ and Ki are scaled until the margin on that spring holds too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins
+from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins, worst_margins
 
 Floats = npt.NDArray[np.float64]
 
@@ -179,34 +179,36 @@ def largest_that(most: float, holds: Callable[[float], bool]) -> float:
     return least
 
 
-def rest_margins(stuck: LinearAxis, gains: Gains) -> Margins:
-    """Margins with the gains at rest."""
-    share = gains.rest_share
-    return loop_margins(
-        stuck, share * gains.proportional_a_per_rps, share * gains.integral_a_per_rev, 0.0, 0.0, gains.hold_a_per_rev_s
+def rest_margins(stuck: Sequence[LinearAxis], gains: Gains) -> Margins:
+    """The smallest margins with the gains at rest, over the stiffnesses of the contact."""
+    proportional, integral = (
+        gains.rest_share * gains.proportional_a_per_rps,
+        gains.rest_share * gains.integral_a_per_rev,
     )
+    return worst_margins(loop_margins(one, proportional, integral, 0.0, 0.0, gains.hold_a_per_rev_s) for one in stuck)
 
 
-def hold_gain(stuck: LinearAxis, gains: Gains) -> float:
+def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:
     """Integral gain of the hold (A/rev/s): a share of the largest with `REST_MARGIN_DEG` on the stuck axis.
 
-    On the contact's spring k alone the hold is an integrator of bandwidth gain Kt / k. It can be no faster than the
-    spring's resonance.
+    On the contact's spring k alone the hold is an integrator of bandwidth gain Kt / k, which a softer contact makes
+    faster. It can be no faster than the spring's resonance.
     """
 
     def holds(gain: float) -> bool:
         margins = rest_margins(stuck, gains._replace(hold_a_per_rev_s=gain))
         return margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0
 
-    contact, constant = stuck.contact_nm_per_rev, stuck.torque_constant_nm_per_a
-    most = math.sqrt(contact / stuck.inertia_nm_s2_per_rev) * contact / constant
+    softest = min(stuck, key=lambda one: one.contact_nm_per_rev)
+    contact, constant = softest.contact_nm_per_rev, softest.torque_constant_nm_per_a
+    most = math.sqrt(contact / softest.inertia_nm_s2_per_rev) * contact / constant
     return HOLD_SHARE * gains.rest_share * largest_that(most, holds)
 
 
-def rest_share(stuck: LinearAxis, proportional: float, integral: float) -> float:
+def rest_share(stuck: Sequence[LinearAxis], proportional: float, integral: float) -> float:
     """The largest share of Kp and Ki with `REST_MARGIN_DEG` on the sticking axis; the smallest if none has it."""
     for share in REST_SHARES:
-        margins = loop_margins(stuck, share * proportional, share * integral, 0.0)
+        margins = rest_margins(stuck, Gains(proportional, integral, 0.0, float(share)))
         if margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0:
             return float(share)
     return float(REST_SHARES[-1])
@@ -234,16 +236,16 @@ def step_response(
 
 
 def design(
-    axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None, stuck: LinearAxis | None = None
+    axis: LinearAxis, attraction_nm_per_rev: float, wish: Wish | None = None, stuck: Sequence[LinearAxis] = ()
 ) -> Design:
-    """Choose gains for an axis, and for the same axis at rest (`stuck`; None: not considered).
+    """Choose gains for an axis, and for the same axis at rest (`stuck`, on each stiffness; empty: not considered).
 
     `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins.
     """
     wish = wish or Wish()
     proportional, integral, observer = gains_in_motion(axis, wish)
     gains = Gains(proportional, integral, observer)
-    if stuck is not None:
+    if stuck:
         gains = gains._replace(rest_share=rest_share(stuck, proportional, integral))
         gains = gains._replace(hold_a_per_rev_s=hold_gain(stuck, gains))
     return judge(axis, attraction_nm_per_rev, gains, wish, stuck)
@@ -251,7 +253,7 @@ def design(
 
 def judge(
     axis: LinearAxis, attraction_nm_per_rev: float, gains: Gains, wish: Wish | None = None,
-    stuck: LinearAxis | None = None,
+    stuck: Sequence[LinearAxis] = (),
 ) -> Design:  # fmt: skip
     """Evaluate given gains on an axis."""
     wish = wish or Wish()
@@ -270,7 +272,7 @@ def judge(
         gains,
         loop_margins(axis, proportional, integral, 0.0),
         margins_observer,
-        rest_margins(stuck or axis, gains),
+        rest_margins(stuck or (axis,), gains),
         excess,
         bound,
         100.0 * max(0.0, float(response.max()) - 1.0),

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import formats
-from ..control.stability import LinearAxis, stuck_axis
+from ..config.axis import hold_dead_band_rev
+from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
 from ..model.parameters import ModelFile
@@ -41,20 +42,32 @@ class Tuned(NamedTuple):
         return summarise(self.design, self.axis)
 
 
-def tune(model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None) -> Tuned:
+def tune(
+    model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None,
+    dead_band_rev: float = hold_dead_band_rev(None),
+) -> Tuned:  # fmt: skip
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
-    fitted delay too short; the longer of the two is designed for.
+    fitted delay too short; the longer of the two is designed for. `dead_band_rev`: of the hold of the position, in
+    general its resolution.
     """
     longer_s = max(0.0, (commissioned_delay_s or 0.0) - model.delay_s.value)
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
-    found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axis(axis, model))
+    found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
     if longer_s > 0.0:
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
             f"{1e3 * model.delay_s.value:.2f} ms"
+        )
+        found = found._replace(warnings=(*found.warnings, text))
+    slow_rps = stick_slip_rps(axis, model.friction_config(), found.gains.in_motion)
+    if slow_rps is not None:
+        text = (
+            f"from {slow_rps[0]:.2g} to {slow_rps[1]:.2g} rps the axis will stick and slip: the model's friction falls "
+            "faster with speed than Kp can hold behind this delay. Move faster, shorten the delay, or change the "
+            "lubricant"
         )
         found = found._replace(warnings=(*found.warnings, text))
     return Tuned(axis, found)

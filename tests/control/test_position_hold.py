@@ -32,7 +32,7 @@ DELAY_TICKS = 5
 TABLE1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, 0)
 CONTACT_NM_PER_REV = TABLE1.coulomb_nm * TABLE1.stiffness_per_rev + TABLE1.attraction_nm_per_rev
 SLIDING = LinearAxis(INERTIA, 0.003, (DELAY_TICKS + 0.5) * PERIOD_S, KT)
-GAINS = design(SLIDING, 2.33, None, SLIDING._replace(contact_nm_per_rev=CONTACT_NM_PER_REV)).gains
+GAINS = design(SLIDING, 2.33, None, (SLIDING._replace(contact_nm_per_rev=CONTACT_NM_PER_REV),)).gains
 BOUND_A = 0.5 * TABLE1.coulomb_nm / KT
 HOLD = HoldConfig(GAINS.hold_a_per_rev_s, COUNT_REV, 1.0 / TABLE1.stiffness_per_rev, BOUND_A)
 FADE = -math.expm1(-PERIOD_S / 0.1)

@@ -13,7 +13,7 @@ from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record, record
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
-from fffo_drive.identification.ladder import climb
+from fffo_drive.identification.ladder import AcceptedEffect, EffectCandidate, climb, stands
 from fffo_drive.identification.regression import regression_start
 from fffo_drive.identification.results import ends_of_interval, model_file, reach_of
 
@@ -52,6 +52,14 @@ def test_friction_that_differs_by_direction_with_speed_is_no_constant_torque():
                       (("a", BOTH_WAYS), ("b", OTHER_WAYS))])  # fmt: skip
     assert names(ladder) == [("asymmetric_viscous", 0.0)]
     assert ladder.accepted[0].coefficients == pytest.approx([6e-4], rel=0.02)
+
+
+@pytest.mark.parametrize(("share", "possible"), [(-0.9, True), (0.9, True), (1.15, False), (-1.15, False)])
+def test_friction_that_would_push_in_one_direction_is_none(share, possible):
+    # two columns that are nearly one: chirps of axis 7522 of results/chain_hold.md gave -45 mNm and +115 % of Fc for a
+    # constant torque of -11 mNm, and the fit that began there ended at 60 times the loss
+    candidate = EffectCandidate(1, "asymmetric_coulomb", ("share",), {}, 0.0, False)
+    assert stands(AcceptedEffect(candidate, np.array([share]), 84.0, 30.0, 0.003, 0.06)) is possible
 
 
 def test_gravity_at_the_order_that_is_declared():

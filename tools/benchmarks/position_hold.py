@@ -31,11 +31,10 @@ from chain import (
 )
 from common import Report, finish, main, paired_ratio, parser, shown
 
-from fffo_drive.config.axis import HELD_DEAD_BANDS
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.envelope import TRIP_NONE
-from fffo_drive.control.position_hold import NO_HOLD
+from fffo_drive.control.position_hold import HELD_DEAD_BANDS, NO_HOLD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.effects import slots
