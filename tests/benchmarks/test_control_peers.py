@@ -17,6 +17,7 @@ LAWS = {"pi", "pi+fffo", "pi+fffo+"} | PEERS
 PLANTS = ("five_surfaces", "single_2sep", "lugre", "maxwell_slip")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_every_law_runs_on_every_plant_with_the_margins_that_were_asked_for():

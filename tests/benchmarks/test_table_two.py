@@ -75,6 +75,7 @@ def test_a_point_changes_what_it_names_and_nothing_else():
     assert found["tripped"] == float("inf")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_short_search_comes_nearer_and_only_the_loop_in_nm_counts():

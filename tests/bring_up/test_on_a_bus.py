@@ -146,6 +146,7 @@ def test_a_drive_is_found_read_and_written_down_without_a_single_write_to_it(bus
     assert report.next_command == "fffo-drive commission axis.yaml"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_rates_are_measured_and_the_drive_is_never_enabled(bus, tmp_path):
@@ -384,6 +385,7 @@ def test_files_are_never_overwritten_unasked_and_then_the_bus_is_left_alone(bus,
     assert (tmp_path / "axis.model.yaml").read_text() != "mine"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_drive_without_an_id_is_found_and_given_one_only_when_asked(bus, tmp_path):
     identity = dataclasses.replace(Identity(), vendor_id=0x11, serial_number=0xCAFE)

@@ -29,6 +29,7 @@ PATIENCE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_an_axis_on_a_bus_is_commissioned_and_then_run(tmp_path, capsys):

@@ -317,6 +317,7 @@ def test_a_service_that_ends_while_it_brings_the_drive_up_leaves_the_drive_again
     assert not left[0].running
 
 
+@pytest.mark.long
 def test_what_is_recorded_gets_a_record_in_the_fleets_store(tmp_path):
     store = tmp_path / "store"
     with Rig(tmp_path, fleet=str(store)) as rig:

@@ -15,6 +15,8 @@ from scipy.signal import butter, filtfilt, lfilter
 
 from fffo_drive.diagnosis.diagnose import diagnose
 
+pytestmark = pytest.mark.long
+
 NAMED = ("disc", "coupled", "wrist", "waves_slow", "waves_fast", "arm")
 UNNAMED = ("payload", "oneway", "clock")
 # laws that take their part of the motor's torque away, or need what none of these machines has

@@ -103,6 +103,7 @@ def test_nothing_is_found_where_nothing_is():
     assert set(accepted) <= {"torque_offset"}  # OFFSET is there
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_emps_held_out_error_falls_to_what_is_asked_for():

@@ -41,6 +41,7 @@ def simulate(toggle: int, seed: int):
     return RingReader(session.ring).read().rows, plan
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_fffo_is_best_and_pi_worst_over_ten_seeds():
     for seed in range(1, 11):

@@ -37,6 +37,7 @@ def bench_file(tmp_path):
     return path
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_the_bench_runs_three_controllers_and_reports_them(bench_file, tmp_path, capsys):

@@ -25,6 +25,7 @@ controllers:
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_a_scenario_runs_on_a_bus_and_its_records_carry_what_controlled_them(tmp_path, capsys):

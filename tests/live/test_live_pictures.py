@@ -256,6 +256,7 @@ def test_a_file_that_is_no_view_is_refused_in_words(page, tmp_path, spoil, refus
     page.until(f"document.querySelector('#said').textContent.includes({json.dumps(refusal)})")
 
 
+@pytest.mark.long
 def test_a_spectrum_over_frequency_has_the_amplitude_of_the_sine(served, page):
     served.run()
     page.see(9.0)
@@ -311,6 +312,7 @@ def test_orders_of_an_axis_that_only_swings_are_refused_in_words(served, page):
     page.until("document.querySelector('.readout').textContent.includes('orders need 2')")
 
 
+@pytest.mark.long
 def test_a_step_response_is_triggered_measured_and_kept(served, page):
     page.tab.select_option("#seconds", "2")
     page.tab.click("#show-step")
@@ -347,6 +349,7 @@ def test_a_step_response_with_keys_alone(served, page):
     assert "ms" in page.tab.text_content("[data-analysis=step] .cursors")
 
 
+@pytest.mark.long
 def test_the_phase_of_the_feedback_after_the_reference(served, page):
     served.run()
     page.see(9.0)

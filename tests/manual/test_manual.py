@@ -26,7 +26,7 @@ from fffo_drive.signals import SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(PAGES.rglob("*.md"))
-LONG = ("diagnose", "identify_and_tune")  # chapters of twenty seconds and more
+LONG = ("diagnose", "identify_and_tune")  # chapters of ten seconds and more
 RUN = [p for p in SOURCES if any("run" in b.marks and "long" not in b.marks for b in blocks_of(p))]
 QUICK = [p for p in RUN if p.stem not in LONG]
 

@@ -426,6 +426,7 @@ def keys_all(page):
     page.keyboard.press("Enter")
 
 
+@pytest.mark.long
 def test_a_simulated_drive_is_started_and_its_axis_commissioned_with_a_question_before_each_motion(
     uncommissioned, chromium, tmp_path
 ):

@@ -42,6 +42,7 @@ def shown(fleet, facts_file, chromium, tmp_path):  # noqa: F811
     shown.close()
 
 
+@pytest.mark.long
 def test_a_run_is_added_its_record_made_and_the_report_read_with_keys_alone_and_by_a_screen_reader(shown):
     state = shown.page.evaluate("fffoFleet.state")
     assert (state["runs"], state["waiting"], state["drives"]) == (DRIVES * RUNS, 0, DRIVES)

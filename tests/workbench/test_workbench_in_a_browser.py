@@ -138,6 +138,7 @@ def shown(tmp_path, chromium):
     shown.close()
 
 
+@pytest.mark.long
 def test_a_run_is_recorded_identified_and_tuned_with_keys_alone_and_a_screen_reader_finds_everything(shown):
     assert shown.page.text_content("#next") == "Next: record a run, or add a file"
     for motion in ("identify", "recipe"):
