@@ -21,7 +21,7 @@ from .scenes import Effect, load_along
 
 Floats = npt.NDArray[np.float64]
 
-NEGLIGIBLE = 0.0025  # rms share of the needed torque; a sensor leaves as much (ablation_diagnosis_wide.md)
+NEGLIGIBLE = 0.0025  # rms share of the needed torque; a sensor leaves as much (ablation_diagnosis.md)
 INERTIA_FACTOR = 1.5  # largest factor by which an effect may change the inertia of the first rungs ...
 NEEDED_SHARE = 0.6  # ... and the smallest share of their needed torque that must remain needed
 DETERMINED_SD = 0.3  # sd of the logarithm of the inertia above which the data do not determine it
