@@ -208,7 +208,7 @@ def stick_slip_rps(
     """The slowest and the fastest speed at which the axis would stick and slip under Kp, Ki and L; None: at none.
 
     Where the Stribeck curve falls, friction has negative damping. By (3) it follows its level over the travel S/B, so
-    that linearised dF = S'(w) dw / (1 + s S/(B w)).
+    that linearised dF = S'(w) dw / (1 + s S/(B w)). An estimator of the velocity counts as its delay alone.
     """
     speeds_rps = friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS
     found = [float(speed_rps) for speed_rps in speeds_rps if not _slides(axis, friction, gains, float(speed_rps))]
