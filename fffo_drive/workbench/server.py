@@ -30,6 +30,7 @@ LARGEST_WISH_BYTES = 1 << 16
 STALLED_S = 5.0  # a page that does not read what it is sent for so long is cut off
 SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".yaml": "text/plain; charset=utf-8",
          ".svg": "image/svg+xml", ".png": "image/png"}  # fmt: skip
+INTERRUPT_S = 0.5  # longest until Ctrl-C is seen
 
 
 class WorkbenchServer:
@@ -53,8 +54,8 @@ class WorkbenchServer:
 
     def wait(self) -> NoReturn:
         """Until it is interrupted: raises KeyboardInterrupt."""
-        while True:
-            self._thread.join()
+        while True:  # the kernel may give the signal to another thread, which does not wake this one
+            self._thread.join(INTERRUPT_S)
 
     def close(self) -> None:
         """Cancel what runs, stop serving."""
