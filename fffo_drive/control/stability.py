@@ -190,7 +190,7 @@ def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorC
     )
 
 
-def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, LinearAxis]:
+def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, ...]:
     """The same axis at rest, on its contact as stiff and as soft as a hold of the position meets it.
 
     Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Over the travel that is held, no contact is stiffer than the
@@ -199,7 +199,8 @@ def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> t
     friction = model.friction_config()
     stiff = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
     soft = friction.static_nm / held_travel_rev(friction.stiffness_per_rev, dead_band_rev)
-    return sliding._replace(contact_nm_per_rev=stiff), sliding._replace(contact_nm_per_rev=min(stiff, soft))
+    stiffnesses = (stiff, soft) if soft < stiff else (stiff,)
+    return tuple(sliding._replace(contact_nm_per_rev=stiffness) for stiffness in stiffnesses)
 
 
 def stick_slip_rps(
@@ -210,8 +211,8 @@ def stick_slip_rps(
     Where the Stribeck curve falls, friction has negative damping. By (3) it follows its level over the travel S/B, so
     that linearised dF = S'(w) dw / (1 + s S/(B w)). An estimator of the velocity counts as its delay alone.
     """
-    speeds_rps = friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS
-    found = [float(speed_rps) for speed_rps in speeds_rps if not _slides(axis, friction, gains, float(speed_rps))]
+    speeds_rps = (friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS).tolist()
+    found = [speed_rps for speed_rps in speeds_rps if not _slides(axis, friction, gains, speed_rps)]
     return (found[0], found[-1]) if found else None
 
 

@@ -236,7 +236,7 @@ def mean_of_fits(
 
 
 def _levels_in_order(solution: Solution) -> Solution:
-    """The solution with Fs of at least Fc: no contact holds less than it drags."""
+    """The solution with Fs of at least Fc: static friction is never the smaller one."""
     values = solution.values.copy()
     values[STATIC] = max(values[STATIC], values[COULOMB])
     return solution._replace(values=values)
@@ -302,7 +302,7 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
     values = dict(zip(space.names, solution.values, strict=True))
     if "static_nm" in values and values["static_nm"] == values["coulomb_nm"]:
         found.append(
-            "Fs came out below Fc and is written as Fc: the logs have too few slow speeds, or friction rises with speed"
+            "the fit put Fs below Fc; Fs is set to Fc: the logs have too few slow speeds, or friction rises with speed"
         )
     if literal_loss is not None and literal_loss < 0.995:
         found.append(

@@ -81,9 +81,9 @@ def test_what_fast_sliding_cannot_tell_is_named():
     assert {"stiffness_per_rev", "stribeck_velocity_rps"} <= named
     assert "inertia_nm_s2_per_rev" not in named
     assert all(doubt.excitation for doubt in fit.uncertainty.doubts)
-    # without slow speeds Fs came out below Fc, which no contact has
+    # without slow speeds the fit puts Fs below Fc, which no contact has
     assert fit.value("static_nm") == fit.value("coulomb_nm")
-    assert any("Fs came out below Fc" in text for text in fit.warnings)
+    assert any("Fs is set to Fc" in text for text in fit.warnings)
     assert fit.value("inertia_nm_s2_per_rev") == pytest.approx(TRUTH[0], rel=0.02)
 
 
