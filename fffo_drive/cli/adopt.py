@@ -1,6 +1,6 @@
 """Put a diagnosed model in service on an axis: show its gates, and enter it in the axis file if all of them pass.
 
-The drive must be without torque. AXIS.adoptions.yaml records the previous model; --rollback restores it. From the next
+The drive must be disabled. AXIS.adoptions.yaml records the previous model; --rollback restores it. From the next
 start (or `fffo-drive ctl reload` of a daemon) the controller compensates every effect that can be compensated, and a
 monitor takes an effect out of service if tracking is worse with it (controller.effects.monitor).
 

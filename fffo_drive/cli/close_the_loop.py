@@ -10,7 +10,7 @@ With a simulated drive the timeouts are longer. If the machine is too busy, a ru
 or 500 Hz. On hardware a disturbed run is an error.
 
 Exit codes: 0 adopted, or nothing found; 1 a gate refuses the finding, or the held-out run does not confirm it; 69 no
-bus; 70 drive fault, or the machine keeps no rate; 74 disk error; 78 bad input.
+bus; 70 drive fault, or this machine can keep none of the rates; 74 disk error; 78 bad input.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="record to write (default: the file's commissioning, else NAME.commissioning.yaml)",
     )
     parser.add_argument("--yes", action="store_true", help="do not ask before each motion")
-    parser.add_argument("--accept", action="store_true", help="name the record that has passed in AXIS, move nothing")
+    parser.add_argument("--accept", action="store_true", help="enter the passed record in AXIS; nothing moves")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
     bounds = parser.add_argument_group(
         "bounds", "the defaults come from the envelope of the axis file and are within it"

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for report and model")
     parser.add_argument(
         "--alpha", type=float, metavar="P",
-        help="accepted probability of a false finding in a drive without effects (default: 0.01)",
+        help="largest accepted p-value of a finding (default: 0.01)",
     )  # fmt: skip
     parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="names to exclude from the search")
     parser.add_argument("--name", help="name of the model (default: the directory's)")

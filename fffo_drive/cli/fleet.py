@@ -2,12 +2,12 @@
 
 fffo-drive fleet add STORE RUN...      index runs by drive, time and content; nothing is copied
 fffo-drive fleet work STORE            make the record of every run that has none
-fffo-drive fleet status STORE          how far that is, and what failed
+fffo-drive fleet status STORE          progress of the work, and what failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
 fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
 fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
-fffo-drive fleet compare A B           two runs, or two times of a drive: what differs beyond chance
+fffo-drive fleet compare A B           two runs, or two periods of a drive: what differs beyond chance
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
 
@@ -45,21 +45,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.add_argument("runs", nargs="*", metavar="RUN", help="recording (MCAP) or table (CSV, MAT): path or URL")
     add.add_argument("--from", dest="source", metavar="DIR|URL", help="all finished recordings there and below")
     add.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
-    add.add_argument("--serial", metavar="NAME", help="of the drive, in place of what the runs say")
-    add.add_argument("--model", metavar="NAME", help="type of the drive, in place of what the runs say")
-    add.add_argument("--work", action="store_true", help="make their records at once")
+    add.add_argument("--serial", metavar="NAME", help="serial number of the drive, instead of the one in the runs")
+    add.add_argument("--model", metavar="NAME", help="type of the drive, instead of the one in the runs")
+    add.add_argument("--work", action="store_true", help="also make their records now")
     _engine_arguments(add)
     work = _action(actions, "work", "make the record of every run that has none")
     _engine_arguments(work)
     work.add_argument("--shard", metavar="K/N", help="only share K (1 to N) of N: one task of an array of jobs")
-    work.add_argument("--retry", action="store_true", help="try those again that failed")
-    _action(actions, "status", "how far the work is, and what failed")
+    work.add_argument("--retry", action="store_true", help="try failed runs again")
+    _action(actions, "status", "progress of the work, and what failed")
     compact = _action(actions, "compact", "merge the small files of records, month by month")
     compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began longer ago")
     report = _action(actions, "report", "population of each model and history of each drive, as a page and JSON")
     report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     report.add_argument(
-        "--alarms-per-drive-year", type=float, metavar="R", help="also what moved, as `fleet watch` finds it"
+        "--alarms-per-drive-year", type=float, metavar="R", help="also list changes, as `fleet watch` finds them"
     )
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
     watch = _action(actions, "watch", "find changes in each drive's own history, at the false-alarm rate that you set")
@@ -69,16 +69,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _rate_argument(diagnose)
     diagnose.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="only these drives, changed or not")
     diagnose.add_argument(
-        "--runs", type=int, default=8, metavar="N", help="at most so many runs on each side (default: %(default)d)"
+        "--runs", type=int, default=8, metavar="N", help="largest number of runs on each side (default: %(default)d)"
     )
-    compare = actions.add_parser("compare", help="what differs between two runs, or two times of a drive")
+    compare = actions.add_parser("compare", help="what differs between two runs, or two periods of a drive")
     compare.description = (
         "What differs between A and B beyond chance: two runs (files, or content hashes of --store), or with --serial "
-        "two times of a drive, FROM..TO in UTC (2026-01-01..2026-02-01; either end may be left out)."
+        "two periods of a drive, FROM..TO in UTC (2026-01-01..2026-02-01; either end may be left out)."
     )
     compare.add_argument("sides", nargs=2, metavar="A|B", help="run, or FROM..TO")
-    compare.add_argument("--store", metavar="STORE", help="where the records are; the fleet is then what scatter is of")
-    compare.add_argument("--serial", metavar="NAME", help="drive whose times are compared")
+    compare.add_argument("--store", metavar="STORE", help="store of the records; the scatter is then estimated from its whole fleet")
+    compare.add_argument("--serial", metavar="NAME", help="drive whose periods are compared")
     compare.add_argument("--model", metavar="NAME", help="type of that drive, where several types have its number")
     compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     compare.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
@@ -98,14 +98,14 @@ def _rate_argument(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.01,
         metavar="R",
-        help="false alarms that you accept, of all laws together (default: %(default)g)",
+        help="accepted false alarms per drive and year, over all watched quantities together (default: %(default)g)",
     )
 
 
 def _engine_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--on", default="local", metavar="ENGINE",
-        help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: one that runs (local)",
+        help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: a running cluster (default: local)",
     )  # fmt: skip
     parser.add_argument("--workers", type=int, metavar="N", help="processes of --on local (default: all cores)")
     parser.add_argument("--idle", action="store_true", help="only when nothing else wants the processor")

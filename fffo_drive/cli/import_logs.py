@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     axis = parser.add_argument_group("the axis")
     axis.add_argument(
-        "--torque-constant", type=float, metavar="NM_PER_A", help="Nm for a unit of the input (linear: N)"
+        "--torque-constant", type=float, metavar="NM_PER_A", help="Nm per A of the command (linear: N per A; 1 if the command is a torque or a force)"
     )
     axis.add_argument("--linear", action="store_true", help="a linear axis: m and N instead of rev and Nm")
     axis.add_argument("--gear-ratio", type=float, metavar="N", help="motor speed over output speed")

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     info.add_argument("files", metavar="FILE", nargs="+", help="recording (.mcap, .mcap.part)")
     info.add_argument("--json", action="store_true", help="print one JSON object, or a list of them")
     rescue = actions.add_parser("recover", help="write a complete file from an incomplete one")
-    rescue.add_argument("torn", metavar="IN", help="torn recording")
+    rescue.add_argument("torn", metavar="IN", help="incomplete recording (NAME.mcap.part)")
     rescue.add_argument("whole", metavar="OUT", help="file to write; must not exist")
     rescue.add_argument("--json", action="store_true", help="print one JSON object")
 

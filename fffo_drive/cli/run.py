@@ -2,7 +2,7 @@
 
 CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, control law, limits,
 profile. Everything is checked before anything moves. The run is recorded in one MCAP file.
-With --served the daemon that has the axis (fffo-drive serve) runs the profile and records; no bus is opened here.
+With --served, the daemon that serves this axis runs the profile and records it; this program opens no bus.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--toggle",
         choices=list(TOGGLES),
-        help="friction from: off (none), ff (reference), fb (measured velocity) (default: the file's)",
+        help="input of the friction observer: off (none), ff (reference), fb (measured velocity) (default: the file's)",
     )
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument(
@@ -58,9 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="enable a drive on a bus without a commissioning record",
     )
-    parser.add_argument("--served", action="store_true", help="by the daemon that has the axis: it runs and records")
-    parser.add_argument("--sockets", metavar="DIR", help="directory of that daemon's sockets (default: looked for)")
-    parser.add_argument("--who", metavar="NAME", help="on whose behalf, for the daemon's log")
+    parser.add_argument("--served", action="store_true", help="let the daemon that serves this axis run and record it")
+    parser.add_argument("--sockets", metavar="DIR", help="directory of that daemon's sockets (default: found by the axis's name)")
+    parser.add_argument("--who", metavar="NAME", help="name to enter in the daemon's log")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bandwidth-hz",
         type=float,
-        help="wanted crossover (default: where integral action is largest within the margins)",
+        help="target crossover frequency (default: where integral action is largest within the margins)",
     )
     parser.add_argument(
         "--damping-ratio",

@@ -71,7 +71,7 @@ def lateness_findings(measured: Lateness, wanted: Wanted) -> list[HostFinding]:
         f"{wanted.period_us:g} us ({properties}); {100 * late:.2g} % later than {bound_us:g} us"
     )
     remedy = (
-        "mend what is named above; then measure for longer, under the load of the day: fffo-drive doctor --seconds 600"
+        "fix what is listed above; then measure for longer, under the usual load: fffo-drive doctor --seconds 600"
     )
     findings = [warning("real time", refusal, "see the limits above") for refusal in measured.realtime.refusals]
     if late == 0.0:

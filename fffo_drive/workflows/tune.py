@@ -65,7 +65,7 @@ def tune(
     slow_rps = stick_slip_rps(axis, model.friction_config(), found.gains.in_motion)
     if slow_rps is not None:
         text = (
-            f"from {slow_rps[0]:.2g} to {slow_rps[1]:.2g} rps the axis will stick and slip: the model's friction falls "
+            f"from {slow_rps[0]:.2g} to {slow_rps[1]:.2g} rps expect stick-slip: the model's friction falls "
             "faster with speed than Kp can hold behind this delay. Move faster, shorten the delay, or change the "
             "lubricant"
         )
