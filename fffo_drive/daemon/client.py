@@ -105,4 +105,4 @@ def _no_daemon(path: Path, error: OSError) -> str:
             f"{path}: not allowed; be root or a member of the socket's group (daemon.control_group), or watch only "
             "(--watch)"
         )
-    return f"{path}: no daemon answers ({error.strerror}); start it: fffo-drive serve AXIS, or systemctl start"
+    return f"{path}: no daemon answers ({error.strerror or error}); start it: fffo-drive serve AXIS, or systemctl start"

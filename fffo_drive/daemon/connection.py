@@ -42,8 +42,13 @@ class Connection:
 
     def last_row(self) -> np.void | None:
         """A copy of the newest row; None before the first."""
+        rows = self.last_rows(1)
+        return rows[0] if rows else None
+
+    def last_rows(self, count: int) -> list[np.void]:
+        """Copies of the newest rows, oldest first; fewer where the loop has just begun."""
         head = self.head
-        return copy_row(self.session.ring, head - 1) if head else None
+        return [copy_row(self.session.ring, number) for number in range(max(0, head - count), head)]
 
     def beat(self) -> None:
         """Tell the loop that the supervisor is alive."""

@@ -41,11 +41,13 @@ from typing import Any, Protocol
 
 from .. import __version__
 from ..config.axis import TOGGLES
+from ..config.commissioning import Permission
 from ..recording.events import Level
 from ..workflows.plan import YAML_TYPE, Plan, toggle_name
 from . import parameters as p
 from . import set_points, settings
 from .profiles import chosen_profile
+from .record_keeper import Sources
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
 from .states import AT_REST, WANTING_TORQUE, Change, RefusedError, State, StateEvent, require_change
 from .status import info_of, status_of
@@ -256,15 +258,15 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             require_change(supervisor.state, Change.MODEL)
-            plan = await self.work.run(self._with_model, wanted)
+            plan, given = await self.work.run(self._with_model, wanted)
             require_change(supervisor.state, Change.MODEL)
             supervisor.set_plan(plan)
             supervisor.sources.model = (wanted.name, YAML_TYPE, wanted.text.encode())
-            supervisor.check_permission()
+            supervisor.permit(given)
         self._parameters(caller, wanted, f"model {plan.model.name}")
         return {"name": plan.model.name, "hash": supervisor.model_hash}
 
-    def _with_model(self, wanted: p.Model) -> Plan:
+    def _with_model(self, wanted: p.Model) -> tuple[Plan, Permission | str]:
         plan, toggle = self.supervisor.plan, self.supervisor.toggle
         model = settings.model_from_text(wanted.text, wanted.name)
         old = plan.model
@@ -274,7 +276,8 @@ class Api:
                 f"with {old.torque_constant_nm_per_a:g}: name this model in the axis file and restart the service"
             )
             raise RpcError(BAD_DOCUMENT, text)
-        return settings.with_model(plan, toggle, model)
+        changed = settings.with_model(plan, toggle, model)
+        return changed, self.supervisor.read_permission(changed)
 
     async def reload(self, wanted: p.Commanded, caller: Caller) -> Any:
         """Read the axis file again; what needs a restart is named."""
@@ -285,21 +288,26 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             at_rest = supervisor.state in AT_REST
-            fresh = await self.work.run(settings.reload, supervisor.plan, supervisor.toggle, at_rest)
+            fresh, sources, given = await self.work.run(self._read_again, at_rest)
             if at_rest and supervisor.state not in AT_REST:  # enabled meanwhile
-                fresh = await self.work.run(settings.reload, supervisor.plan, supervisor.toggle, False)
+                fresh, sources, given = await self.work.run(self._read_again, False)
             before = supervisor.plan
             supervisor.set_plan(fresh.plan)
             if before.toggle != fresh.plan.toggle:
                 supervisor.set_toggle(fresh.plan.toggle)
-            supervisor.sources.take(fresh.plan)
-            supervisor.check_permission()
+            supervisor.sources = sources
+            supervisor.permit(given)
         applied, restart = list(fresh.applied), list(fresh.restart)
         text = f"reloaded by {who}: {', '.join(applied) or 'nothing to apply'}"
         text += f"; needs a restart: {', '.join(restart)}" if restart else ""
         level = Level.WARNING if restart else Level.INFO
         supervisor.log.add("reload", text, level, {"applied": applied, "restart": restart, **credentials})
         return {"applied": applied, "restart": restart}
+
+    def _read_again(self, at_rest: bool) -> tuple[settings.Reload, Sources, Permission | str]:
+        """Everything that a reload reads: the disk may be slow, and what cannot be read changes nothing."""
+        fresh = settings.reload(self.supervisor.plan, self.supervisor.toggle, at_rest)
+        return fresh, Sources(fresh.plan), self.supervisor.read_permission(fresh.plan)
 
     async def record(self, wanted: p.RecordSwitch, caller: Caller) -> Any:
         """Begin or end a recording."""

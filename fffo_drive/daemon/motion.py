@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from ..config.axis import feedforward_config
 from ..control.reference import MODE_VELOCITY, Profile
 from ..drive.cia402 import GOAL_ENABLED
 from ..runtime import blocks as b
+from ..runtime.blocks import NO_PAST, Floats
 from ..runtime.session import Session
 from ..workflows.plan import Plan
 from .connection import Connection
@@ -41,9 +47,9 @@ class MotionRequests:
         """Operation Enabled is asked for."""
         return int(self._session.blocks.control[b.GOAL]) == GOAL_ENABLED
 
-    def hand(self, profile: Profile) -> None:
-        """A profile to the loop, which starts it once the drive is enabled."""
-        self._number = self._session.start_profile(profile)
+    def hand(self, profile: Profile, past: Floats = NO_PAST) -> None:
+        """A profile to the loop, which starts it once the drive is enabled. `past`: see `publish_profile`."""
+        self._number = self._session.start_profile(profile, past)
         self._handed_tick = self._session.status(b.TICK)
         self.profile = profile
 
@@ -143,11 +149,16 @@ class MotionRequests:
         if not self._brake_pending or self._session.status(b.TICK) < self._handed_tick + SETTLED_TICKS:
             return None
         self._brake_pending = False
-        row = self.connection.last_row()
-        velocity_rps = 0.0
-        if row is not None:
-            follows = int(row["mode"]) == MODE_VELOCITY
-            velocity_rps = float(row["reference_rps"] if follows else row["velocity_rps"])
-        ramp = braking_ramp(velocity_rps, plan.axis.daemon.stop_rps2, plan.axis.loop.period_s)
-        self.hand(ramp)
+        controller, period_s = plan.axis.controller, plan.axis.loop.period_s
+        feedforward = feedforward_config(controller.feedforward, plan.model, period_s, controller.velocity)
+        past = self._velocities_rps(max(1, math.ceil(feedforward.behind_ticks)))
+        ramp = braking_ramp(past[-1], plan.axis.daemon.stop_rps2, period_s)
+        self.hand(ramp, past)
         return ramp
+
+    def _velocities_rps(self, count: int) -> Floats:
+        """Of the last ticks, oldest first: the reference, or the feedback where the loop was open."""
+        rows = self.connection.last_rows(count)
+        found = [row["reference_rps"] if row["mode"] == MODE_VELOCITY else row["velocity_rps"] for row in rows]
+        finite: Floats = np.nan_to_num(np.array(found or [0.0]), posinf=0.0, neginf=0.0)
+        return finite

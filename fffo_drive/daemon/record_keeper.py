@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..config.axis import beside, recorder_settings
 from ..recording.events import Level
@@ -22,6 +23,8 @@ from .fleet_records import FleetRecords
 from .worker import Worker
 
 DISK_TIMEOUT_S = 30.0
+LULL_S = 2.0  # without a loss: what was lost before belongs to a failure that is over
+T = TypeVar("T")
 LEVELS = {level.name.lower(): level for level in Level}
 
 
@@ -29,10 +32,7 @@ class Sources:
     """The files attached to a recording, as they were when they were read."""
 
     def __init__(self, plan: Plan) -> None:
-        self.take(plan)
-
-    def take(self, plan: Plan) -> None:
-        """The files of a plan, read now."""
+        """The files of a plan, read now. Raises OSError."""
         model = beside(plan.path, plan.axis.model)
         self.axis = (plan.path.name, YAML_TYPE, plan.path.read_bytes())
         self.model = (model.name, YAML_TYPE, model.read_bytes())
@@ -44,18 +44,23 @@ class Sources:
 
 
 class RecordKeeper:
-    """At most one recorder. Operations that wait for the disk run on another thread."""
+    """At most one recorder. Operations that wait for the disk run on another thread, each to its end, even if who
+    asked for it no longer waits.
+    """
 
-    def __init__(self, log: EventLog, directory: Path | None) -> None:
+    def __init__(self, log: EventLog, directory: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
         """`directory`: for recordings whose configured directory is relative; None: the working directory."""
-        self._log = log
+        self._log, self._clock = log, clock
         self._base = directory
         self.hooks = RecorderHooks()  # of recorders started from now on
         self.wanted = False
         self._recorder: Recorder | None = None
         self._changing = asyncio.Lock()
+        self._changes: set[asyncio.Task[Any]] = set()
         self._disk = Worker("fffo-disk")
-        self._bad = ""
+        self._no_file = ""  # why there is none
+        self._losses = (0, 0)  # of the recorder, as last seen
+        self._lost_s = -math.inf
         self.last_files: tuple[Path, ...] = ()
         self._fleet = FleetRecords(log)
         self._store: str | None = None  # of the fleet, for the file that is being written
@@ -63,15 +68,35 @@ class RecordKeeper:
     async def begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
         """Begin a file now, or (without a connection, "") with the next connection. Raises OSError."""
         self.wanted = True
-        async with self._changing:
-            if connection is None or self.running:
-                return ""
-            path = str(await self._disk.run(self._start, plan, connection, sources, toggle, note))
-        self._log.add("recording", f"recording to {path}", data={"file": path})
-        return path
+        if connection is not None:
+            self._no_file = "no file is open yet"
+        return await self._to_its_end(self._begin(plan, connection, sources, toggle, note))
 
     async def end(self) -> list[str]:
         """End the file. Returns the files of this recording."""
+        return await self._to_its_end(self._end())
+
+    async def _to_its_end(self, change: Coroutine[Any, Any, T]) -> T:
+        task = asyncio.ensure_future(change)
+        self._changes.add(task)
+        task.add_done_callback(self._changes.discard)
+        return await asyncio.shield(task)
+
+    async def _begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
+        path = ""
+        async with self._changing:
+            if connection is not None and not self.running:
+                try:
+                    path = str(await self._disk.run(self._start, plan, connection, sources, toggle, note))
+                except OSError as error:
+                    self._no_file = f"no file: {error}"
+                    raise
+            self._no_file = ""
+        if path:
+            self._log.add("recording", f"recording to {path}", data={"file": path})
+        return path
+
+    async def _end(self) -> list[str]:
         async with self._changing:
             if not self.running:
                 return []
@@ -98,7 +123,7 @@ class RecordKeeper:
             records=connection.session.records,
         )  # fmt: skip
         recorder.start()
-        self._recorder, self._bad = recorder, ""
+        self._losses, self._lost_s, self._recorder = (0, 0), -math.inf, recorder  # in this order: turns look at them
         store = plan.axis.daemon.fleet
         self._store = store if store is None or "://" in store else str((self._base or Path()) / store)
         return path
@@ -117,7 +142,7 @@ class RecordKeeper:
     @property
     def busy(self) -> bool:
         """Whether a file is being opened or closed."""
-        return self._disk.busy
+        return bool(self._changes) or self._disk.busy
 
     @property
     def running(self) -> bool:
@@ -133,7 +158,7 @@ class RecordKeeper:
         """Why the recording is incomplete; empty if it is complete."""
         recorder = self._recorder
         if recorder is None:
-            return ""
+            return self._no_file if self.wanted else ""
         if not recorder.alive:
             return "the recorder's thread has ended"
         statistics = recorder.statistics
@@ -142,19 +167,23 @@ class RecordKeeper:
             return f"{missing} rows are missing: {statistics.last_error or 'the disk was too slow for the ring'}"
         return ""
 
-    def news(self) -> str:
-        """`trouble`, once each time that it begins."""
-        bad = self.trouble()
-        begun = bool(bad) and not self._bad
-        self._bad = bad
-        return bad if begun else ""
+    def failure(self) -> str:
+        """Why what should be recorded is not recorded now; empty if it is, or nothing should be."""
+        recorder = self._recorder
+        if recorder is None or not recorder.alive:
+            return self.trouble()
+        statistics = recorder.statistics
+        losses = statistics.rows_dropped + statistics.rows_lost, statistics.write_errors
+        if losses != self._losses:
+            self._losses, self._lost_s = losses, self._clock()
+        return self.trouble() if self._clock() - self._lost_s < LULL_S else ""
 
     def status(self) -> dict[str, Any]:
         """For the API."""
         recorder = self._recorder
         if recorder is None:
             files = [str(file) for file in self.last_files]
-            return {"on": False, "wanted": self.wanted, "file": None, "finished": files, "trouble": ""}
+            return {"on": False, "wanted": self.wanted, "file": None, "finished": files, "trouble": self.trouble()}
         s = recorder.statistics
         return {
             "on": True,

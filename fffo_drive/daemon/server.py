@@ -2,7 +2,7 @@
 
 Lines are parsed and checked, and read-only calls answered, on the clients' thread (`clients.py`). Calls that change
 something run on the supervisor's own loop, calls that end a motion first. No client can block it: the calls are limited
-by the clients' budget, and calls that end a motion to one of a kind at a time.
+by the clients' budget, and calls that end a motion, which need none, by joining those of their kind in progress.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..documents import DocumentError, wrong_parameters
 from ..drive.port import DriveError
 from ..recording.events import Level
 from . import rpc
-from .clients import ENDING, Clients
+from .clients import ENDING, WAITING_CALLS, Clients
 from .methods import Api, asker
 from .one_client import Client, ReceivedLine
 from .parameters import METHODS, Bound
@@ -30,6 +30,8 @@ from .rpc import Call, RpcError
 from .sockets import CONTROL_MODE, WATCH_MODE, bound, give_to
 from .states import RefusedError
 
+Answer = Callable[[dict[str, Any]], None]  # on the clients' thread
+
 
 class _Asked(NamedTuple):
     """A checked call for the supervisor."""
@@ -37,7 +39,7 @@ class _Asked(NamedTuple):
     call: Call
     wanted: BaseModel
     client: Client
-    answer: Callable[[dict[str, Any]], None]  # on the clients' thread
+    answer: Answer
 
 
 class _Reply:
@@ -72,14 +74,13 @@ class Server:
         self.api = api
         self.directory = directory
         self.loop = asyncio.get_running_loop()
-        self.refused = 0  # connections and clients
         self._most = clients
         self._epoch = api.supervisor.machine.epoch
         self._served: Clients | None = None
         self._urgent: deque[_Asked] = deque()
         self._ordinary: deque[_Asked] = deque()
-        self._stops: dict[tuple[Client, str, str], list[Callable[[dict[str, Any]], None]]] = {}
-        self._tasks: dict[asyncio.Task[None], _Asked] = {}
+        self._stops: dict[tuple[Client, str], dict[str, list[Answer]]] = {}  # by kind, then by parameters
+        self._tasks: dict[asyncio.Task[dict[str, Any]], _Asked] = {}
         self._paths: list[Path] = []
 
     async def open(self, group: str | None) -> None:
@@ -153,12 +154,10 @@ class Server:
 
     def cut_off(self, client: Client, reason: str) -> None:
         """A client was cut off."""
-        self.refused += 1
         self.api.supervisor.log.add("client", f"{client.name} cut off: {reason}", Level.WARNING, client.credentials)
 
     def turned_away(self, watching: bool, reason: str) -> None:
         """A connection was not let in."""
-        self.refused += 1
         name = WATCH if watching else CONTROL
         self.api.supervisor.log.add("client", f"{name}: a connection was not let in: {reason}", Level.WARNING)
 
@@ -178,7 +177,7 @@ class Server:
             elif reply.put(place, item):
                 reply.send()
 
-    def _filler(self, reply: _Reply, place: int, call: Call) -> Callable[[dict[str, Any]], None]:
+    def _filler(self, reply: _Reply, place: int, call: Call) -> Answer:
         """Deliver the answer to a call. The answer to a stop ends the epoch before it is sent."""
 
         def fill(answer: dict[str, Any]) -> None:
@@ -198,9 +197,7 @@ class Server:
 
         return fill
 
-    def _call(
-        self, client: Client, call: Call, epoch: int, reply: _Reply, answer: Callable[[dict[str, Any]], None]
-    ) -> None:
+    def _call(self, client: Client, call: Call, epoch: int, reply: _Reply, answer: Answer) -> None:
         """Answer at once, or hand the call to the supervisor; every error is an answer."""
         try:
             method = METHODS.get(call.method)
@@ -231,17 +228,23 @@ class Server:
         self._on_the_loop(self._take)
 
     def _joins(self, asked: _Asked) -> bool:
-        """Whether the same stop by the same client is in progress, so that its answer serves this one too."""
-        key = (asked.client, asked.call.method, asked.wanted.model_dump_json())
-        others = self._stops.get(key)
-        if others is not None:
-            others.append(asked.answer)
-            return True
-        self._stops[key] = [asked.answer]
-        return False
+        """Whether the same stop by the same client is in progress, so that its answer serves this one too.
+
+        Beyond a number of them that differ in their parameters, the last one serves: the axis is being stopped already.
+        """
+        kind, parameters = _kind_and_parameters(asked)
+        alike = self._stops.setdefault(kind, {})
+        if parameters not in alike and len(alike) >= WAITING_CALLS:
+            parameters = next(reversed(alike))
+        alike.setdefault(parameters, []).append(asked.answer)
+        return len(alike[parameters]) > 1
 
     def _stop_answered(self, asked: _Asked, answer: dict[str, Any]) -> None:
-        for fill in self._stops.pop((asked.client, asked.call.method, asked.wanted.model_dump_json())):
+        kind, parameters = _kind_and_parameters(asked)
+        served = self._stops[kind].pop(parameters)
+        if not self._stops[kind]:
+            del self._stops[kind]
+        for fill in served:
             fill(answer)
 
     def _on_the_loop(self, what: Callable[..., None], *arguments: Any) -> None:
@@ -260,23 +263,28 @@ class Server:
     def _carry_out(self, asked: _Asked) -> None:
         task = self.loop.create_task(self._answer(asked))
         self._tasks[task] = asked
-        task.add_done_callback(self._tasks.pop)
+        task.add_done_callback(self._carried_out)
 
-    async def _answer(self, asked: _Asked) -> None:
-        answer: dict[str, Any] = {}
+    async def _answer(self, asked: _Asked) -> dict[str, Any]:
         try:
             self._note(asked)
             result = getattr(self.api, asked.call.method)(asked.wanted, asked.client)
-            answer = rpc.result_of(asked.call, await result if inspect.isawaitable(result) else result)
-        except asyncio.CancelledError:
-            answer = rpc.error_of(None, RpcError(rpc.NOT_REACHED, "the service ends, or who asked has gone"))
-            raise
+            return rpc.result_of(asked.call, await result if inspect.isawaitable(result) else result)
         except Exception as error:
-            answer = rpc.error_of(None, self._as_rpc(error))
-        finally:
-            self.api.publish()
-            done = self._stop_answered if asked.call.method in ENDING else _answered
-            self.clients.post(lambda: done(asked, answer))
+            return rpc.error_of(None, self._as_rpc(error))
+
+    def _carried_out(self, task: asyncio.Task[dict[str, Any]]) -> None:
+        """Send the answer. Each call has one, even one that was cancelled before its first step: a stop in the same
+        batch awaits it.
+        """
+        asked = self._tasks.pop(task)
+        if task.cancelled():
+            answer = rpc.error_of(None, RpcError(rpc.NOT_REACHED, "the service ends, or who asked has gone"))
+        else:
+            answer = task.result()
+        self.api.publish()
+        done = self._stop_answered if asked.call.method in ENDING else _answered
+        self.clients.post(lambda: done(asked, answer))
 
     def _note(self, asked: _Asked) -> None:
         """The recording holds every request, before what it causes."""
@@ -306,7 +314,7 @@ class Server:
         if isinstance(error, DriveError):
             return RpcError(rpc.DRIVE_ERROR, str(error))
         if isinstance(error, OSError):
-            return RpcError(rpc.BAD_DOCUMENT, f"{error.filename or ''}: {error.strerror}".lstrip(": "))
+            return RpcError(rpc.BAD_DOCUMENT, f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
         text = f"internal error: {type(error).__name__}: {error}"
         self.api.supervisor.log.add("command", text, Level.ERROR)
         return RpcError(rpc.INTERNAL_ERROR, text)
@@ -314,6 +322,10 @@ class Server:
 
 def _answered(asked: _Asked, answer: dict[str, Any]) -> None:
     asked.answer(answer)
+
+
+def _kind_and_parameters(asked: _Asked) -> tuple[tuple[Client, str], str]:
+    return (asked.client, asked.call.method), asked.wanted.model_dump_json()
 
 
 def _checked(parameters: type[BaseModel], given: dict[str, Any]) -> BaseModel:

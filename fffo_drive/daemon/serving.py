@@ -6,8 +6,8 @@ from pathlib import Path
 
 from .client import CallError, ClientError, DaemonClient
 from .places import CONTROL, SYSTEM_DIRECTORY, WATCH, user_directory
+from .states import TORQUE_STATES
 
-TORQUE_STATES = ("enabled", "preparing", "running", "following", "stopping")
 ANSWER_S = 2.0
 
 

@@ -102,7 +102,6 @@ class Reload(NamedTuple):
     plan: Plan
     applied: tuple[str, ...]  # changed sections and keys that are accepted
     restart: tuple[str, ...]  # changed ones that need a restart of the service
-    model_changed: bool
 
 
 def reload(plan: Plan, toggle: int, rest: bool) -> Reload:
@@ -137,4 +136,4 @@ def reload(plan: Plan, toggle: int, rest: bool) -> Reload:
         applied.append("model")
     file_toggle = TOGGLES[axis.controller.observer.toggle]
     in_use = file_toggle if old.controller.observer.toggle != axis.controller.observer.toggle else toggle
-    return Reload(checked_plan(plan.path, axis, model, (in_use,)), tuple(applied), tuple(restart), model_changed)
+    return Reload(checked_plan(plan.path, axis, model, (in_use,)), tuple(applied), tuple(restart))

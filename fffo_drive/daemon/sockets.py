@@ -22,7 +22,9 @@ def bound(path: Path, mode: int) -> socket.socket:
 
     Raises SocketTakenError, OSError.
     """
-    if path.exists():
+    if path.exists() and not path.is_socket():
+        raise OSError(errno.EEXIST, "is in the place of a socket and is none; move it away", str(path))
+    if path.is_socket():
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.settimeout(1.0)
             try:
@@ -30,7 +32,7 @@ def bound(path: Path, mode: int) -> socket.socket:
             except (ConnectionRefusedError, FileNotFoundError):
                 path.unlink(missing_ok=True)
             except OSError as error:
-                raise SocketTakenError(error.errno, f"cannot be used: {error.strerror}", str(path)) from error
+                raise SocketTakenError(error.errno, f"cannot be used: {error.strerror or error}", str(path)) from error
             else:
                 raise SocketTakenError(errno.EADDRINUSE, "another daemon serves this axis; stop it first", str(path))
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
@@ -39,7 +41,7 @@ def bound(path: Path, mode: int) -> socket.socket:
         sock.bind(str(path))
     except OSError as error:
         sock.close()
-        raise OSError(error.errno, f"control socket: {error.strerror}", str(path)) from error
+        raise OSError(error.errno, f"control socket: {error.strerror or error}", str(path)) from error
     finally:
         os.umask(before)
     sock.listen(64)

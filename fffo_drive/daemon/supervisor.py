@@ -26,6 +26,7 @@ from ..recording.events import Level
 from ..runtime import blocks as b
 from ..runtime.adaptation_watch import BoundWatch
 from ..runtime.runs import NOT_ENABLED, with_words
+from ..runtime.session import LoopHungError
 from ..workflows.plan import Plan
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
@@ -60,7 +61,7 @@ class Supervisor:
         self.sources = Sources(plan)
         self.toggle = plan.toggle
         self.log = EventLog(journal, self._context)
-        self.recorder = RecordKeeper(self.log, recordings)
+        self.recorder = RecordKeeper(self.log, recordings, clock)
         self.effects = EffectsWatch(plan, self.log)
         self.log.listeners.append(self.recorder.tell)
         self.machine = Machine()
@@ -74,7 +75,8 @@ class Supervisor:
         self.not_enabled = ""  # why the last attempt did not reach Operation Enabled
         self.fatal: BaseException | None = None
         self._bus, self._uncommissioned, self._clock = bus, uncommissioned, clock
-        self._permission: Permission | None = None
+        self._given: Permission | str = ""  # by the commissioning record, or why nothing is
+        self._permission: Permission | None = None  # ... and for the connected drive
         self._watcher: Watcher | None = None
         self._bounds = BoundWatch()
         self._to_leave: Connection | None = None
@@ -91,6 +93,7 @@ class Supervisor:
         self._quick = False
         self._said = ""  # the last reason for a missing drive, reported once
         self._forbidding = ""
+        self._unrecorded = False  # what should be recorded is not; reported once
 
     # -- the state machine -----------------------------------------------------------------------------------------
 
@@ -148,8 +151,10 @@ class Supervisor:
                 self._watcher.reset()
             motion.reset_fault()
         else:
+            again = self._quick and action is Action.QUICK_STOP
             self._quick = action is Action.QUICK_STOP
-            self._deadline_s = NEVER_S if action is Action.FORGET else now_s + timeouts.stop_timeout_s
+            if not again:  # asked for once more, a quick stop has no more time than it had
+                self._deadline_s = NEVER_S if action is Action.FORGET else now_s + timeouts.stop_timeout_s
             motion.drop()
             motion.ask(GOAL_QUICK_STOP if self._quick else GOAL_DISABLED)
 
@@ -239,12 +244,7 @@ class Supervisor:
         watcher, motion = self._watcher, self.motion
         assert watcher is not None
         assert motion is not None
-        if self.state in (State.CONNECTED, State.READY):
-            limits = self.plan.axis.envelope
-            self.obstacles = self._forbidden() + watcher.obstacles(
-                limits.feedback_missing_ticks, limits.status_missing_ticks
-            )
-            self.apply(StateEvent.FORBIDDEN if self.obstacles else StateEvent.PERMITTED)
+        self._look_for_obstacles()
         if self.state in TORQUE_STATES and watcher.torque_on:
             if not self._torque_seen and self.state is not State.STOPPING:
                 self._deadline_s = NEVER_S
@@ -266,20 +266,42 @@ class Supervisor:
             if watcher.torque_off:
                 self.apply(StateEvent.TORQUE_OFF)
 
-    def _forbidden(self) -> list[str]:
-        """Reasons from commissioning why the axis may not be enabled."""
-        return [] if self._permission is not None else [self._forbidding]
+    def _look_for_obstacles(self) -> None:
+        """Whether the axis may be enabled."""
+        if self.state not in (State.CONNECTED, State.READY) or self._watcher is None:
+            return
+        limits = self.plan.axis.envelope
+        self.obstacles = self._forbidden() + self._watcher.obstacles(
+            limits.feedback_missing_ticks, limits.status_missing_ticks
+        )
+        self.apply(StateEvent.FORBIDDEN if self.obstacles else StateEvent.PERMITTED)
 
-    def check_permission(self) -> None:
-        """Read the commissioning record again and compare it with the connected drive."""
-        self._permission = None
+    def _forbidden(self) -> list[str]:
+        """Reasons from commissioning and recording why the axis may not be enabled."""
+        found = [] if self._permission is not None else [self._forbidding]
+        if self.plan.axis.daemon.record_required and (failure := self.recorder.failure()):
+            found.append(f"daemon.record_required: {failure}")
+        return found
+
+    def read_permission(self, plan: Plan) -> Permission | str:
+        """What the commissioning record of a plan gives, or why nothing. It waits for the disk: for another thread."""
+        try:
+            return permission(plan.path, plan.axis, plan.model, self._uncommissioned)
+        except DocumentError as error:
+            return str(error)
+
+    def permit(self, given: Permission | str) -> None:
+        """Take what was read, and compare it with the connected drive."""
+        self._given, self._permission = given, None
         if self.connection is None:
             return
+        if isinstance(given, str):
+            self._forbidding = given
+            return
         try:
-            given = permission(self.plan.path, self.plan.axis, self.plan.model, self._uncommissioned)
             require_identity(given, self.connection.identity)
             self._permission = given
-        except (DocumentError, DriveRefusedError) as error:
+        except DriveRefusedError as error:
             self._forbidding = str(error)
 
     def _watch_deadline(self, now_s: float) -> None:
@@ -293,18 +315,20 @@ class Supervisor:
             self._hear_out(NOT_ENABLED, statusword)
             self.apply(StateEvent.ENABLE_TIMEOUT)
         elif self.state is State.STOPPING and not self._quick:
-            self.log.add("state", "the ordered stop takes too long: quick stop", Level.ERROR)
+            self.log.add("state", "the controlled stop takes too long: quick stop", Level.ERROR)
             self.apply(StateEvent.STOP_TIMEOUT)
         elif self.state is State.STOPPING:
             self.fault = Latched("stop_failed", "the drive keeps its torque after a quick stop", -1)
             self.apply(StateEvent.STOP_FAILED)
 
     def _watch_recording(self) -> None:
-        news = self.recorder.news()
-        if not news:
+        if self.recorder.busy:  # a file is being opened or closed
             return
-        self.log.add("recording", f"recording: {news}", Level.ERROR)
-        if self.plan.axis.daemon.record_required and self.state in WANTING_TORQUE:
+        failure, before = self.recorder.failure(), self._unrecorded
+        self._unrecorded = bool(failure)
+        if failure and not before:
+            self.log.add("recording", f"recording: {failure}", Level.ERROR)
+        if failure and self.plan.axis.daemon.record_required and self.state in WANTING_TORQUE:
             self.log.add("recording", "daemon.record_required: the axis is stopped", Level.ERROR)
             self.apply(StateEvent.DISABLE)
 
@@ -396,7 +420,9 @@ class Supervisor:
     async def start_recording(self) -> str:
         """Begin a file now, or with the next connection. Raises OSError."""
         note = self._permission.note if self._permission is not None else "none"
-        return await self.recorder.begin(self.plan, self.connection, self.sources, self.toggle, note)
+        path = await self.recorder.begin(self.plan, self.connection, self.sources, self.toggle, note)
+        self._look_for_obstacles()  # before the answer: an enable may follow it at once
+        return path
 
     # -- life cycle ------------------------------------------------------------------------------------------------
 
@@ -426,15 +452,21 @@ class Supervisor:
     async def _leave_old(self) -> None:
         old, self._to_leave = self._to_leave, None
         if old is not None:
-            await self.recorder.end()
-            self.fatal = await self.bus_work.run(leave, old)
+            self.fatal = await self._leave(old)
+
+    async def _leave(self, connection: Connection) -> LoopHungError | None:
+        """The bus first: torque and SYNC end whatever the state of the disk."""
+        leaving = asyncio.ensure_future(self.bus_work.run(leave, connection))
+        await self.recorder.end()
+        return await leaving
 
     async def _try_to_connect(self) -> None:
         plan = self.plan
         if not self._said:
             self.obstacles = ["connecting; the very first time compiles the loop"]
+        given_before = self._given
         try:
-            connection = await self.bus_work.run(self._bring_up, plan)
+            given, connection = await self.bus_work.run(self._bring_up, plan)
         except (DriveError, LinkError) as error:
             self.obstacles = [str(error)]
             if str(error) != self._said:  # once, not at each attempt
@@ -459,21 +491,20 @@ class Supervisor:
             self.log.add("drive", f"without real-time properties: {refusal}", Level.WARNING)
         identity = connection.identity
         self.log.add("drive", f"connected to {identity.device_name}", data=identity._asdict())
-        self.check_permission()
+        self.permit(given if self._given is given_before else self._given)  # a reload meanwhile has read it again
         self.apply(StateEvent.FOUND)
         if self.recorder.wanted:
-            try:
+            with contextlib.suppress(OSError):  # the next turn reports it
                 await self.start_recording()
-            except OSError as error:
-                self.log.add("recording", f"no recording: {error}", Level.ERROR)
 
-    def _bring_up(self, plan: Plan) -> Connection | None:
-        """On the bus's thread. None if the service ended meanwhile; the drive is then released again."""
+    def _bring_up(self, plan: Plan) -> tuple[Permission | str, Connection | None]:
+        """On the bus's thread. No connection if the service ended meanwhile; the drive is then released again."""
+        given = self.read_permission(plan)  # first: once the loop runs, no disk may keep the supervisor waiting
         connection = bring_up(plan, self._connections + 1, self._bus)
         if not self._closing:
-            return connection
+            return given, connection
         leave(connection)
-        return None
+        return given, None
 
     async def stop_in_order(self) -> None:
         """Brake, disable, and wait until the power stage is off: controlled stop, then quick stop, each for a bounded
@@ -500,10 +531,8 @@ class Supervisor:
     async def _leave_for_good(self) -> None:
         connection, self.connection = self.connection or self._to_leave, None
         self._to_leave = self._watcher = self.motion = None
-        if connection is not None:  # the bus first: torque and SYNC end whatever the state of the disk
-            leaving = asyncio.ensure_future(self.bus_work.run(leave, connection))
-            await self.recorder.end()
-            self.fatal = await leaving or self.fatal
+        if connection is not None:
+            self.fatal = await self._leave(connection) or self.fatal
         await self._lived.wait()
 
     # -- status ----------------------------------------------------------------------------------------------------

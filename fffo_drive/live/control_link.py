@@ -71,7 +71,7 @@ class ControlLink:
             try:
                 reader, self._writer = await asyncio.open_unix_connection(str(self._path), limit=LINE_LIMIT)
             except OSError as error:
-                raise ControlLinkError(f"no daemon answers: {error.strerror}") from error
+                raise ControlLinkError(f"no daemon answers: {error.strerror or error}") from error
             self._reading = asyncio.create_task(self._read(reader))
 
     async def _read(self, reader: asyncio.StreamReader) -> None:

@@ -19,7 +19,6 @@ from .foxglove_protocol import AdvertisedService
 from .keys import Keys
 
 PREFIX = "/fffo_drive/"
-ENDING = ("stop", "disable", "quick_stop")
 UNSERVED = ("subscribe", "schema")  # provided by the connection, or served as schemas of the services
 WHO = "who"  # on whose behalf: a parameter of every method that does more than read
 KEY = {"type": "string", "description": "the key that `fffo-drive scope --viewers` prints"}
@@ -115,9 +114,7 @@ class Services:
 
     def kind(self, name: str) -> MethodKind:
         """What it is for."""
-        if name in ENDING:
-            return MethodKind.ENDS
-        return MethodKind.LOOKS if self._methods[name].role == "look" else MethodKind.COMMANDS
+        return {"look": MethodKind.LOOKS, "stop": MethodKind.ENDS}.get(self._methods[name].role, MethodKind.COMMANDS)
 
 
 def _schema(method: ServiceMethod) -> dict[str, Any]:

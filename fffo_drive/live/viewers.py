@@ -3,7 +3,7 @@
 All are served on the live server's thread, each with its own queue; one that does not read, or sends too much, is
 dropped. Services are the methods of the control API. A request is checked completely before the daemon is asked. Reads,
 commands and stops use three separate connections to the daemon: clients without a key cannot delay those with one, and
-pending commands cannot delay a stop.
+pending commands cannot delay a stop. An enable with hold uses one of its own viewer, which ends with the viewer.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class Tally:
 
 
 class ViewersLine:
-    """A connection to the daemon for the calls of all viewers, with a limit on pending calls."""
+    """A connection to the daemon for calls of viewers, with a limit on pending calls."""
 
-    def __init__(self, control_path: Path, most: float) -> None:
+    def __init__(self, control_path: Path, most: float = math.inf) -> None:
         self.link = ControlLink(control_path)
         self._most = most
         self._waiting = 0
@@ -90,6 +90,7 @@ class Viewers:
         self, address: Address, name: str, keys: Keys, control_path: Path, methods: Mapping[str, ServiceMethod]
     ) -> None:
         """`methods`: those of the control API, by name."""
+        self.control_path = control_path
         self._listener = Listener(
             address, self._serve, lambda _: None, VIEWERS, keys, REQUEST_BYTES, protocol.SUBPROTOCOL
         )
@@ -104,7 +105,7 @@ class Viewers:
             protocol.advertise(self.channels),
             protocol.advertise_services(self.services.offered()),
         )
-        self._lines = {kind: ViewersLine(control_path, CALLS_IN_ALL[kind]) for kind in MethodKind}
+        self.lines = {kind: ViewersLine(control_path, CALLS_IN_ALL[kind]) for kind in MethodKind}
         self._viewers: set[Viewer] = set()
         self.begin()
 
@@ -115,7 +116,7 @@ class Viewers:
     def close(self) -> None:
         """Stop listening, drop everybody."""
         self._listener.close()
-        for line in self._lines.values():
+        for line in self.lines.values():
             line.link.close()
 
     async def _serve(self, connection: ServerConnection) -> None:
@@ -128,10 +129,6 @@ class Viewers:
             await viewer.live()
         finally:
             self._viewers.discard(viewer)
-
-    async def ask(self, request: Request) -> bytes:
-        """The daemon's answer as JSON. Raises LinkError."""
-        return await self._lines[request.kind].ask(request)
 
     # what goes out
 
@@ -181,6 +178,14 @@ class Viewer(Peer):
         self._all = viewers
         self._channels = {channel.id for channel in viewers.channels}
         self.subscriptions: dict[int, int] = {}  # channel -> subscription
+        self._own = ViewersLine(viewers.control_path)  # the axis may hang on it
+
+    async def live(self) -> None:
+        """Serve it until it leaves or is dropped."""
+        try:
+            await super().live()
+        finally:
+            self._own.link.close()  # a viewer that holds the axis: the daemon reacts as daemon.client_loss says
 
     def take(self, message: str | bytes) -> None:
         """Handle a message of the protocol. Raises DroppedError."""
@@ -220,7 +225,8 @@ class Viewer(Peer):
             self.answer_later(self._answer(call, request), to_the_end=ends)
 
     async def _answer(self, call: protocol.ServiceCall, request: Request) -> None:
+        line = self._own if request.params.get("hold") else self._all.lines[request.kind]
         try:
-            self.offer(protocol.service_answer(call, await self._all.ask(request)))
+            self.offer(protocol.service_answer(call, await line.ask(request)))
         except ControlLinkError as error:
             self.offer(protocol.service_failure(call, str(error)))

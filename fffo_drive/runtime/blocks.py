@@ -63,6 +63,7 @@ ADAPTED_TO_BOUND = 20  # bits of adapted parameters at their bounds: control.ada
 STATUS_WORDS = 21
 
 PROFILE_ROWS = 2  # value and derivative
+NO_PAST: Floats = np.zeros(0)  # the past of a profile that begins at standstill
 
 
 class Blocks(NamedTuple):
@@ -71,8 +72,8 @@ class Blocks(NamedTuple):
     control: Words  # (CONTROL_WORDS,)
     status: Words  # (STATUS_WORDS,)
     parameters: Floats  # (2, CONTROLLER_BLOCK_SIZE)
-    profile_words: Words  # (2, 2): length and mode of each slot
-    profiles: Floats  # (2, PROFILE_ROWS, capacity)
+    profile_words: Words  # (2, 3): length, mode and samples of the past of each slot
+    profiles: Floats  # (2, PROFILE_ROWS, HISTORY + capacity): the past, then the samples
     effects: Floats  # (2, compensation.TABLE_SIZE)
     effects_loop: Floats  # the same size, private to the loop: copy in progress, and effects in use
     effects_memory: Floats  # (compensation.MEMORY_SIZE,), private to the loop
@@ -88,8 +89,8 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros(CONTROL_WORDS, np.int64),
         np.zeros(STATUS_WORDS, np.int64),
         np.zeros((2, CONTROLLER_BLOCK_SIZE)),
-        np.zeros((2, 2), np.int64),
-        np.zeros((2, PROFILE_ROWS, profile_capacity)),
+        np.zeros((2, 3), np.int64),
+        np.zeros((2, PROFILE_ROWS, HISTORY + profile_capacity)),
         np.zeros((2, TABLE_SIZE)),
         np.zeros((2, TABLE_SIZE)),
         new_memory(),
@@ -122,7 +123,7 @@ def publish_effects(blocks: Blocks, table: Floats) -> int:
 
 def require_room(blocks: Blocks, profile: Profile) -> None:
     """Raise ValueError for a profile that is longer than the memory for it."""
-    capacity = blocks.profiles.shape[2]
+    capacity = blocks.profiles.shape[2] - HISTORY
     if profile.values.size > capacity:
         raise ValueError(
             f"profile '{profile.name}' has {profile.values.size} samples, the loop holds {capacity}: "
@@ -130,18 +131,20 @@ def require_room(blocks: Blocks, profile: Profile) -> None:
         )
 
 
-def publish_profile(blocks: Blocks, profile: Profile) -> int:
+def publish_profile(blocks: Blocks, profile: Profile, past: Floats = NO_PAST) -> int:
     """Hand a profile to the loop, which starts it once the drive is enabled. Returns its number.
 
-    Raises ValueError when it is longer than the memory for it.
+    `past`: the reference before the first sample, oldest first, where the axis already moves: the error is that of an
+    older reference (FeedforwardConfig.behind_ticks). Raises ValueError when it is longer than the memory for it.
     """
     require_room(blocks, profile)
     number = int(blocks.control[PROFILE_NUMBER]) + 1
     slot = number & 1
-    blocks.profiles[slot, 0, : profile.values.size] = profile.values
-    blocks.profiles[slot, 1, : profile.values.size] = profile.derivatives
-    blocks.profile_words[slot, 0] = profile.values.size
-    blocks.profile_words[slot, 1] = profile.mode
+    past = past[-HISTORY:]
+    end = past.size + profile.values.size
+    blocks.profiles[slot, :, : past.size] = past, np.zeros(past.size)  # derivatives are read ahead only
+    blocks.profiles[slot, :, past.size : end] = profile.values, profile.derivatives
+    blocks.profile_words[slot] = profile.values.size, profile.mode, past.size
     store_release(blocks.control, PROFILE_NUMBER, number)
     return number
 

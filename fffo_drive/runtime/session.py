@@ -172,12 +172,15 @@ class Session:
             with self._recorded(records.of_effects(self._next(b.EFFECTS_NUMBER), table)):
                 publish_effects(self.blocks, table)
 
-    def start_profile(self, profile: Profile) -> int:
-        """Request a profile; it starts once the drive is enabled. Return its number."""
+    def start_profile(self, profile: Profile, past: Floats = b.NO_PAST) -> int:
+        """Request a profile; it starts once the drive is enabled. Return its number.
+
+        `past`: see `publish_profile`.
+        """
         require_room(self.blocks, profile)
         record = records.of_profile(0, profile)  # its digest takes time: before anybody has to wait
         with self._asking, self._recorded(record._replace(number=self._next(b.PROFILE_NUMBER))):
-            return publish_profile(self.blocks, profile)
+            return publish_profile(self.blocks, profile, past)
 
     def set_point(self, set_point: SetPoint) -> int:
         """Request a velocity now; a motion begins with it once the drive is enabled. Return its number."""

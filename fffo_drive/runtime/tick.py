@@ -233,8 +233,9 @@ def follow_profile(
     if sample >= cursor.length + tail_ticks or aborted or not active:
         blocks.status[b.PROFILE_DONE] = cursor.number
         return ProfileCursor(cursor.number, -1, 0, MODE_IDLE), -1, steady_reference(0.0)
-    profile = blocks.profiles[cursor.number & 1]
-    return cursor, sample, read_reference(feedforward, profile[0], profile[1], cursor.length, sample)
+    slot = cursor.number & 1
+    profile, past = blocks.profiles[slot], blocks.profile_words[slot, 2]
+    return cursor, sample, read_reference(feedforward, profile[0], profile[1], past + cursor.length, past + sample)
 
 
 @njit

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
+import queue
 import socket
 import stat
 import threading
@@ -36,6 +38,10 @@ def raw(rig: Rig, name: str = CONTROL) -> socket.socket:
     sock.settimeout(PATIENCE_S)
     sock.connect(str(rig.sockets / name))
     return sock
+
+
+def request(method: str, number: int = 1, **params: object) -> dict:
+    return {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
 
 
 def line_of(content: object) -> bytes:
@@ -160,8 +166,11 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_others_are_not(rig):
         for _ in range(50):
             rig.supervisor.log.add("command", "x" * 10_000)
 
+    def cut_off() -> bool:
+        return any("too slow" in event["text"] for event in rig.do(lambda: rig.supervisor.log.since(0, 1000)))
+
     deadline_s = time.monotonic() + PATIENCE_S
-    while rig.server.refused == 0 or connections(rig) > before + 1:
+    while not cut_off() or connections(rig) > before + 1:
         rig.do(flood)
         assert time.monotonic() < deadline_s
         assert other.call("status")["state"] == "offline"
@@ -245,6 +254,59 @@ def test_whatever_bytes_come_the_next_request_is_answered(rig, lines):
     raise AssertionError("no answer")
 
 
+def test_a_batch_of_a_client_that_is_gone_at_once_leaves_no_stop_behind(rig, monkeypatch):
+    """Its jog is cancelled before its first step; the stop in front of it is answered all the same."""
+    stands, go_on, gone, left = threading.Event(), threading.Event(), threading.Event(), rig.server.left
+
+    def tell(client: one_client.Client) -> None:
+        left(client)
+        if client.calls:
+            gone.set()
+
+    monkeypatch.setattr(rig.server, "left", tell)
+    rig._loop.call_soon_threadsafe(lambda: (stands.set(), go_on.wait(PATIENCE_S)))
+    assert stands.wait(PATIENCE_S)
+    with raw(rig) as sock:
+        sock.sendall(line_of([request("stop"), request("jog", to_rps=1.0)]))
+    assert gone.wait(PATIENCE_S)
+    go_on.set()
+    client = rig.client()
+    client.call("stop")
+    with pytest.raises(CallError, match="offline") as error:
+        client.call("jog", to_rps=1.0)
+    assert "a stop is being carried out" not in str(error.value)
+
+
+def test_stops_that_differ_do_not_become_a_flood_for_the_supervisor(rig, monkeypatch):
+    count, go_on = 100, asyncio.Event()
+
+    async def stop(wanted, caller):
+        await go_on.wait()
+        return {"state": "enabled", "reached": True}
+
+    monkeypatch.setattr(rig.api, "stop", stop)
+    lines = [line_of(request("stop", number, wait_s=10 + number / count)) for number in range(count)]
+    with raw(rig) as sock:
+        sock.sendall(b"".join(lines))
+        while waiting_calls(rig) < count:
+            pass
+        assert rig.do(lambda: len(rig.server._tasks)) == clients.WAITING_CALLS
+        rig.do(go_on.set)
+        file = sock.makefile("rb")
+        found = [json.loads(file.readline()) for _ in range(count)]
+    assert {one["id"] for one in found} == set(range(count))
+    assert all(one["result"]["reached"] for one in found)
+    assert not rig.server._stops
+
+
+def waiting_calls(rig: Rig) -> int:
+    """Lines that are not answered yet, counted on the thread that they belong to."""
+    found: queue.SimpleQueue[int] = queue.SimpleQueue()
+    served = rig.server.clients
+    served.post(lambda: found.put(sum(client.calls for client in served._clients.values())))
+    return found.get(timeout=PATIENCE_S)
+
+
 def test_a_socket_that_a_dead_process_left_is_replaced_and_a_living_one_is_not(tmp_path):
     path = tmp_path / "s"
     bound(path, 0o600).close()
@@ -253,6 +315,23 @@ def test_a_socket_that_a_dead_process_left_is_replaced_and_a_living_one_is_not(t
         with pytest.raises(SocketTakenError, match="another daemon"):
             bound(path, 0o660)
         assert again.fileno() >= 0
+
+
+def test_a_file_in_the_place_of_a_socket_is_left_alone(tmp_path):
+    path = tmp_path / CONTROL
+    path.write_text("important")
+    with pytest.raises(OSError, match="move it away"):
+        bound(path, 0o660)
+    assert path.read_text() == "important"
+
+
+def test_a_path_that_is_too_long_for_a_socket_is_reported_as_such(tmp_path):
+    directory = tmp_path / ("a" * 100)
+    directory.mkdir()
+    with pytest.raises(OSError, match=r"control socket: .*too long"):
+        bound(directory / CONTROL, 0o660)
+    with pytest.raises(ClientError, match=r"no daemon answers \(.*too long\)"):
+        DaemonClient(directory / CONTROL)
 
 
 def test_a_group_that_does_not_exist_is_named(tmp_path):

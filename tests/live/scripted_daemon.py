@@ -38,12 +38,16 @@ class Refusal(NamedTuple):
 
 
 class ScriptedDaemon:
-    """`answers` may be changed while it runs, and one may be a function; `lines` is what came."""
+    """`answers` may be changed while it runs, and one may be a function.
+
+    `lines` is what came, `ended` are the connections that were closed.
+    """
 
     def __init__(self, directory: Path) -> None:
         self.sockets = directory / "s"
         self.answers = dict(ANSWERS)
         self.lines: list[Line] = []
+        self.ended: list[int] = []
         self._connections = 0
         self._opened = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._live()), daemon=True)
@@ -81,4 +85,5 @@ class ScriptedDaemon:
                 continue
             outcome = {"error": answer._asdict()} if isinstance(answer, Refusal) else {"result": answer}
             writer.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], **outcome}).encode() + b"\n")
+        self.ended.append(number)
         writer.close()

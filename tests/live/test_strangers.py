@@ -17,11 +17,12 @@ from live.scripted_daemon import NEVER, Refusal, ScriptedDaemon
 from live.viewer import SERVICE_REQUEST, ServiceFailure, Viewer
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from fffo_drive.daemon.clients import ENDING
 from fffo_drive.daemon.parameters import METHODS, Enable, Method, Start
 from fffo_drive.live import listener, viewers
 from fffo_drive.live import messages as m
 from fffo_drive.live.peer import CALLS
-from fffo_drive.live.services import ENDING, MethodKind
+from fffo_drive.live.services import MethodKind
 from fffo_drive.live.viewers import CALLS_IN_ALL, REQUEST_BYTES, VIEWERS
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -252,6 +253,22 @@ def test_a_stop_is_carried_out_though_its_viewer_is_gone(scope):
     viewer.socket.send(request(viewer, "disable", 1, b'{"key": "%s"}' % scope.server.key.encode()))
     viewer.socket.socket.close()
     scope.until(lambda: scope.rig.asked("disable"))
+
+
+def test_the_connection_of_a_viewer_that_holds_the_axis_ends_with_it(scope):
+    """The daemon sees that who is in charge has gone, whoever else goes on looking and commanding."""
+    holder, other, key = viewer_of(scope), viewer_of(scope), scope.server.key
+    holder.call("/fffo_drive/enable", {"key": key, "hold": True})
+    other.call("/fffo_drive/enable", {"key": key})
+    holder.call("/fffo_drive/jog", {"key": key, "to_rps": 1.0})
+    (held, enabled, jogged) = [line.connection for line in scope.rig.asked("enable", "jog")]
+    assert held != enabled == jogged
+    holder.close()
+    scope.until(lambda: scope.rig.ended != [])
+    assert scope.rig.ended == [held]
+    other.call("/fffo_drive/enable", {"key": key})
+    assert scope.rig.asked("enable")[-1].connection == enabled
+    other.close()
 
 
 def test_a_broken_way_for_stops_is_opened_again_before_it_is_needed(scope):

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fffo_drive.daemon.clients import ENDING
 from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.live.keys import Keys
-from fffo_drive.live.services import ENDING, MethodKind, RefusedCallError, Services
+from fffo_drive.live.services import MethodKind, RefusedCallError, Services
 
 KEY = "k" * 32
 SERVICES = Services(METHODS, Keys(KEY))
@@ -82,6 +83,10 @@ def test_a_wait_is_a_number_in_its_range(name, value, problem):
 )  # fmt: skip
 def test_each_wrong_parameter_is_named_with_what_is_wanted(name, params, problem):
     assert refusal(name, **params).startswith(f"{name}: {problem} (parameters: ")
+
+
+def test_what_ends_a_motion_is_what_the_daemon_takes_for_a_stop_on_arrival():
+    assert {name for name in NUMBER if SERVICES.kind(name) is MethodKind.ENDS} == set(ENDING)
 
 
 def test_what_is_right_goes_through_as_it_came():

@@ -25,7 +25,7 @@ from runtime.scripted_port import (
 
 from fffo_drive.control import envelope as env
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig
-from fffo_drive.control.feedforward import NO_FEEDFORWARD
+from fffo_drive.control.feedforward import NO_FEEDFORWARD, FeedforwardConfig
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
 from fffo_drive.control.pi import PiConfig
 from fffo_drive.control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY, Profile
@@ -140,6 +140,19 @@ def test_a_profile_starts_when_enabled_and_reports_that_it_is_done():
     np.testing.assert_array_equal(rows["profile_sample"][10:54], np.arange(44))
     assert (rows["reference_rps"][50:] == 0.0).all()
     assert rig.status(b.PROFILE_DONE) == number
+
+
+@pytest.mark.parametrize("older", [1, 5000])  # more than is kept
+def test_a_profile_that_begins_in_motion_knows_the_reference_before_it(older):
+    rig = Rig(scripted(60))
+    b.publish_controller(rig.blocks, CONTROLLER._replace(feedforward=FeedforwardConfig(0.0, 0.0, 2.5)))
+    profile = Profile("ramp", MODE_VELOCITY, 5e-4, np.linspace(1.0, 0.0, 40), np.full(40, -51.0))
+    b.publish_profile(rig.blocks, profile, np.array([9.0] * older + [1.0, 1.2, 1.1]))
+    rows = rig.run()
+    np.testing.assert_array_equal(rows["profile_sample"][:44], np.arange(44))
+    np.testing.assert_array_equal(rows["reference_rps"][:40], profile.values)
+    np.testing.assert_allclose(rows["expected_rps"][:3], [1.1, 1.15, 1.05])
+    np.testing.assert_allclose(rows["expected_rps"][3:40], (profile.values[:37] + profile.values[1:38]) / 2)
 
 
 def test_skipped_ticks_do_not_shift_the_profile():

@@ -138,13 +138,15 @@ static struct reference follow_profile(struct blocks *blocks, struct profile_cur
     *sample_out = sample;
     const double *values = blocks->profiles[cursor->number & 1][0];
     const double *derivatives = blocks->profiles[cursor->number & 1][1];
-    double ahead = sample + feedforward->ahead_ticks;
+    int64_t past = blocks->profile_words[cursor->number & 1][2];
+    int64_t length = past + cursor->length;
+    double now = past + sample, ahead = now + feedforward->ahead_ticks;
     return (struct reference){
-        .value = read_samples(values, cursor->length, (double)sample),
-        .derivative = read_samples(derivatives, cursor->length, (double)sample),
-        .ahead = read_samples(values, cursor->length, ahead),
-        .ahead_derivative = read_samples(derivatives, cursor->length, ahead),
-        .expected = read_samples(values, cursor->length, sample - feedforward->behind_ticks),
+        .value = read_samples(values, length, now),
+        .derivative = read_samples(derivatives, length, now),
+        .ahead = read_samples(values, length, ahead),
+        .ahead_derivative = read_samples(derivatives, length, ahead),
+        .expected = read_samples(values, length, now - feedforward->behind_ticks),
     };
 }
 
