@@ -12,7 +12,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.box import SIMPLE
 from rich.console import Console
@@ -23,16 +23,14 @@ from ..config.axis import recorder_settings
 from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from ..drive.port import Drive, DriveIdentity
 from ..evaluation.metrics import (
+    METRIC_UNITS,
     PAPER_TABLE_2,
-    ErrorMetrics,
     TickStatistics,
     percent_of_smallest,
-    run_metrics,
-    tick_statistics,
 )
 from ..recording.reader import read_run
-from ..report.bench import BenchRecord, write_bench_report
-from ..runtime.runs import RunOutcome, record_live, timestamp_name
+from ..report.bench import BenchRecord, BenchResult, evaluate, write_bench_report
+from ..runtime.runs import record_live, timestamp_name
 from ..runtime.session import Session
 from ..system.service_files import sources
 from ..workflows.errors import DriveFaultError, RecordingGapError
@@ -43,16 +41,6 @@ from .progress import progress_bar
 
 CONTROLLERS = {"PI": TOGGLE_OFF, "PI+FBFO": TOGGLE_FEEDBACK, "PI+FFFO": TOGGLE_FEEDFORWARD}
 QUICK_S = 10.0
-
-
-class BenchRun(NamedTuple):
-    """One controller's run."""
-
-    metrics: ErrorMetrics
-    ticks: TickStatistics
-    file: Path
-    rows_lost: int
-    record: BenchRecord
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,10 +72,11 @@ def execute(options: argparse.Namespace) -> int:
         drive = open_drive(plan, bus)
         identity = drive.connect()
         console.print(f"drive: {identity.device_name}, serial {identity.serial_number}", soft_wrap=True)
-        runs = _compare(plan, drive, identity, out, options.json, process)
+        records = _compare(plan, drive, identity, out, options.json, process)
     with console.status("drawing the report"):
-        report = write_bench_report({name: run.record for name, run in runs.items()}, out)
-    _report(runs, report.page, options.json)
+        result = evaluate(records)
+        report = write_bench_report(records, result, out)
+    _report(records, result, report.page, options.json)
     return 0
 
 
@@ -101,9 +90,9 @@ def _shortened(plan: Plan) -> Plan:
 
 def _compare(
     plan: Plan, drive: Drive, identity: DriveIdentity, out: Path, quiet: bool, process: SimulatedProcess
-) -> dict[str, BenchRun]:
+) -> dict[str, BenchRecord]:
     """The three runs on one loop: SYNC goes on between them, without torque."""
-    runs: dict[str, BenchRun] = {}
+    records: dict[str, BenchRecord] = {}
     settings = recorder_settings(plan.axis)
     with Session(drive, plan_session(plan)) as session:
         for refusal in session.start().refusals:
@@ -118,80 +107,67 @@ def _compare(
                 raise DriveFaultError(f"{name}: {outcome.fault_text}; the recording is in {path}")
             if outcome.gap_text is not None:
                 raise RecordingGapError(f"{name}: {outcome.gap_text}")
-            runs[name] = _evaluate(plan, outcome)
-    return runs
+            parts = tuple(read_run(file) for file in outcome.files if file.exists())
+            records[name] = BenchRecord(parts, outcome.exchange, outcome.recorder.rows_lost, plan.axis.loop.late_share)
+    return records
 
 
-def _evaluate(plan: Plan, outcome: RunOutcome) -> BenchRun:
-    """Metrics from what was recorded, read back from the files."""
-    parts = tuple(read_run(file) for file in outcome.files if file.exists())
-    record = BenchRecord(parts, outcome.exchange, outcome.recorder.rows_lost, plan.axis.loop.late_share)
-    metrics = run_metrics(record.rows, plan.profile.period_s, plan.profile.values.size)
-    ticks = tick_statistics(record.rows, outcome.exchange)
-    return BenchRun(metrics, ticks, outcome.files[-1], outcome.recorder.rows_lost, record)
-
-
-def _report(runs: dict[str, BenchRun], page: Path, as_json: bool) -> None:
+def _report(records: dict[str, BenchRecord], result: BenchResult, page: Path, as_json: bool) -> None:
+    files = [str(record.parts[-1].path) for record in records.values()]
     if as_json:
-        print(json.dumps({**as_object(runs), "report": str(page)}, indent=2))
+        print(json.dumps({**as_object(result), "files": files, "report": str(page)}, indent=2))
         return
     console = Console()
-    console.print(_metrics_table(runs))
-    console.print(_ticks_table(runs))
-    for run in runs.values():
-        console.print(f"{run.file}", highlight=False, soft_wrap=True)
+    console.print(_metrics_table(result))
+    console.print(_ticks_table(result))
+    for file in files:
+        console.print(file, highlight=False, soft_wrap=True)
     console.print(f"report: {page}", highlight=False, soft_wrap=True)
 
 
-def as_object(runs: dict[str, BenchRun]) -> dict[str, Any]:
+def as_object(result: BenchResult) -> dict[str, Any]:
     """The result for programs."""
     return {
-        "controllers": {name: run.metrics._asdict() for name, run in runs.items()},
-        "ticks": {name: {**run.ticks._asdict(), "rows_lost": run.rows_lost} for name, run in runs.items()},
-        "files": [str(run.file) for run in runs.values()],
+        "controllers": {name: metrics._asdict() for name, metrics in result.metrics.items()},
+        "ticks": {name: {**t._asdict(), "rows_lost": result.rows_lost[name]} for name, t in result.ticks.items()},
     }
 
 
-METRICS = {"ise": "ISE rps² s", "mae": "MAE rps", "max": "MAX rps", "std": "STD rps"}
-
-
-def _metrics_table(runs: dict[str, BenchRun]) -> Table:
-    percent = percent_of_smallest({name: run.metrics for name, run in runs.items()})
+def _metrics_table(result: BenchResult) -> Table:
+    percent = percent_of_smallest(result.metrics)
     table = Table(
         title="velocity error, % of the smallest, (% in the paper's Table II)", title_justify="left", box=SIMPLE
     )
     table.add_column("", no_wrap=True)
-    for name in runs:
+    for name in result.metrics:
         table.add_column(name, justify="right", no_wrap=True)
-    for key, title in METRICS.items():
+    for key, unit in METRIC_UNITS.items():
         cells = [
-            f"{getattr(run.metrics, key):.3g}  {percent[name][key]:3.0f} % ({PAPER_TABLE_2[name][key]:.0f})"
-            for name, run in runs.items()
+            f"{getattr(metrics, key):.3g}  {percent[name][key]:3.0f} % ({PAPER_TABLE_2[name][key]:.0f})"
+            for name, metrics in result.metrics.items()
         ]
-        table.add_row(title, *cells)
+        table.add_row(f"{key.upper()} {unit}", *cells)
     return table
 
 
-def _ticks_table(runs: dict[str, BenchRun]) -> Table:
+def _ticks_table(result: BenchResult) -> Table:
     table = Table(title="ticks", title_justify="left", box=SIMPLE)
     table.add_column("", no_wrap=True)
-    for name in runs:
+    for name in result.ticks:
         table.add_column(name, justify="right", no_wrap=True)
-    columns = [_tick_cells(run) for run in runs.values()]
+    columns = [_tick_cells(ticks, result.rows_lost[name]) for name, ticks in result.ticks.items()]
     for title in columns[0]:
         table.add_row(title, *(cells[title] for cells in columns))
     return table
 
 
-def _tick_cells(run: BenchRun) -> dict[str, str]:
+def _tick_cells(t: TickStatistics, rows_lost: int) -> dict[str, str]:
     """What the table says of one run, by the title of its row."""
-    t = run.ticks
-    wire_errors = t.bad_frames + t.error_frames + t.bus_losses + t.send_errors + max(t.dropped_frames, 0)
     return {
         "ticks": str(t.ticks),
         "late, skipped": f"{t.late}, {t.skipped}",
         "lateness µs, p50/p99/max": f"{t.lateness_us_p50:.0f}/{t.lateness_us_p99:.0f}/{t.lateness_us_max:.0f}",
         "no feedback, late feedback": f"{t.missing_feedback}, {t.late_feedback}",
-        "errors on the wire": str(wire_errors),
-        "rows lost": str(run.rows_lost),
+        "errors on the wire": str(t.wire_errors),
+        "rows lost": str(rows_lost),
     }

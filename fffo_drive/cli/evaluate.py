@@ -33,13 +33,12 @@ from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
 from ..report.document import SourceFile, provenance, source_file
-from ..report.evaluate import EvaluationSource, write_evaluation_report
+from ..report.evaluate import METRICS, EvaluationSource, evaluation_report
+from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
 from ..workflows.evaluate import narrowed, run_seeds
 from ..workflows.evaluate_live import evaluate_on_bus, evaluate_recordings
 from .progress import progress_bar
-
-METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}  # rps² s, rps
 
 
 class Compared(NamedTuple):
@@ -79,6 +78,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     out = Path(options.out or Path("runs") / timestamp_name("evaluate", time.time_ns()))
     scenario = _scenario(options)
+    refuse_other_report(out, "evaluate")
     out.mkdir(parents=True, exist_ok=True)
     if options.runs:
         compared = _compared_recordings(options.runs, scenario)
@@ -95,7 +95,7 @@ def execute(options: argparse.Namespace) -> int:
         compared.cautions,
         provenance(compared.files, facts),
     )
-    paths = write_evaluation_report(source, summary, compared.evaluations, out)
+    paths = write_report(evaluation_report(source, summary, compared.evaluations), out)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0

@@ -25,9 +25,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..documents import DocumentError, counted
+from ..documents import DocumentError, counted, did_you_mean
 from ..identification.facts import read_facts
-from ..recording.errors import did_you_mean
 from .exits import EXIT_BAD_INPUT
 from .progress import progress_bar
 
@@ -77,7 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "two periods of a drive, FROM..TO in UTC (2026-01-01..2026-02-01; either end may be left out)."
     )
     compare.add_argument("sides", nargs=2, metavar="A|B", help="run, or FROM..TO")
-    compare.add_argument("--store", metavar="STORE", help="store of the records; the scatter is then estimated from its whole fleet")
+    compare.add_argument(
+        "--store", metavar="STORE", help="store of the records; the scatter is then estimated from its whole fleet"
+    )
     compare.add_argument("--serial", metavar="NAME", help="drive whose periods are compared")
     compare.add_argument("--model", metavar="NAME", help="type of that drive, where several types have its number")
     compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
@@ -105,7 +106,7 @@ def _rate_argument(parser: argparse.ArgumentParser) -> None:
 def _engine_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--on", default="local", metavar="ENGINE",
-        help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: a running cluster (default: local)",
+        help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: a running one (default: local)",
     )  # fmt: skip
     parser.add_argument("--workers", type=int, metavar="N", help="processes of --on local (default: all cores)")
     parser.add_argument("--idle", action="store_true", help="only when nothing else wants the processor")
@@ -249,9 +250,10 @@ def _compact(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace) -> int:
     from ..fleet.history import histories
-    from ..fleet.report import FleetSource, outsider_text, shown_drives, write_fleet_report
+    from ..fleet.report import FleetSource, fleet_report, outsider_text, shown_drives
     from ..fleet.spread import SPREAD_COLUMNS, spreads_of
     from ..fleet.store import FleetStore
+    from ..report.page import write_report
 
     store = FleetStore(options.store)
     spreads = spreads_of(store.parts(SPREAD_COLUMNS))
@@ -269,7 +271,7 @@ def _report(options: argparse.Namespace) -> int:
     rate = options.alarms_per_drive_year
     moved = {} if rate is None else _watched(store, rate)
     source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)
-    paths = write_fleet_report(source, Path(options.out))
+    paths = write_report(fleet_report(source), Path(options.out))
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0
@@ -305,8 +307,9 @@ def _watch(options: argparse.Namespace) -> int:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from ..fleet.diagnosing import diagnose_drives, diagnosis_lines, require_places, subjects_of, write_fleet_diagnosis
+    from ..fleet.diagnosing import diagnose_drives, diagnosis_lines, fleet_diagnosis_report, require_places, subjects_of
     from ..fleet.store import FleetStore
+    from ..report.page import write_report
 
     if options.runs < 1:
         raise DocumentError(f"--runs {options.runs}: at least 1")
@@ -317,7 +320,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     subjects = subjects_of(store, changed, options.serial, options.runs)
     require_places(subjects, out)
     found = diagnose_drives(store, subjects, out, partial(progress_bar, quiet=options.json))
-    paths = write_fleet_diagnosis(found, store.place.address, out)
+    paths = write_report(fleet_diagnosis_report(found, store.place.address, out), out)
     for problem in found.problems:
         print(f"not diagnosed: {problem}", file=sys.stderr)
     if options.json:
@@ -328,9 +331,10 @@ def _diagnose(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from ..fleet.compare import compared, side_of_file, side_of_store, write_comparison
+    from ..fleet.compare import compared, comparison_report, side_of_file, side_of_store
     from ..fleet.difference import difference_lines
     from ..fleet.store import FleetStore
+    from ..report.page import write_report
 
     facts = read_facts(options.drive) if options.drive else None
     store = FleetStore(options.store) if options.store else None
@@ -341,7 +345,7 @@ def _compare(options: argparse.Namespace) -> int:
         for text in options.sides
     )
     found = compared(first, second, store)
-    paths = write_comparison(first, second, found, Path(options.out))
+    paths = write_report(comparison_report(first, second, found), Path(options.out))
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..documents import did_you_mean
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
 from ..importing.recognise import (
@@ -35,11 +37,12 @@ from ..importing.recognise import (
     Recognition,
 )
 from ..importing.units import UNITS, unit_of
-from ..recording.errors import RecordingError, did_you_mean
+from ..recording.errors import RecordingError
 from ..units import name_on, text_on, unit_in
 from ..workflows.import_logs import (
     MAP_NAME,
     Imported,
+    ImportMap,
     RecognisedLog,
     assumptions,
     known_units,
@@ -79,7 +82,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     axis = parser.add_argument_group("the axis")
     axis.add_argument(
-        "--torque-constant", type=float, metavar="NM_PER_A", help="Nm per A of the command (linear: N per A; 1 if the command is a torque or a force)"
+        "--torque-constant",
+        type=float,
+        metavar="NM_PER_A",
+        help="Nm per A of the command (linear: N per A; 1 if the command is a torque or a force)",
     )
     axis.add_argument("--linear", action="store_true", help="a linear axis: m and N instead of rev and Nm")
     axis.add_argument("--gear-ratio", type=float, metavar="N", help="motor speed over output speed")
@@ -146,22 +152,25 @@ def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) ->
 
 def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     """What the user says: of columns and units, and of the axis. The command line stands before the map."""
-    mapping = read_map(Path(options.map)) if options.map else {}
-    roles = dict(mapping.get("roles") or {})
+    mapping = read_map(Path(options.map)) if options.map else ImportMap()
+    roles = {signal: column or "" for signal, column in mapping.roles.items()}
     roles |= {signal: value for role, signal in ROLES.items() if (value := getattr(options, role)) is not None}
-    units = dict(mapping.get("units") or {})
+    units = dict(mapping.units)
     for text in options.unit:
         column, equals, unit = text.rpartition("=")
         if not equals:
             raise RecordingError(f"--unit {text}: give COLUMN=UNIT")
         units[column] = unit
-    if options.rate is not None and not options.rate > 0.0:
-        raise RecordingError(f"--rate {options.rate:g}: give a positive number of samples per second")
+    for name, value, what in (
+        ("--rate", options.rate, "samples per second"), ("--counts-per-turn", options.counts_per_turn, "counts"),
+    ):  # fmt: skip
+        if value is not None and not 0.0 < value < math.inf:
+            raise RecordingError(f"{name} {value:g}: give a positive number of {what}")
     hints = Hints(
-        options.rate or mapping.get("rate_hz"), options.counts_per_turn or mapping.get("counts_per_turn"),
-        options.linear or bool(mapping.get("linear")), roles, known_units(units),
+        options.rate or mapping.rate_hz, options.counts_per_turn or mapping.counts_per_turn,
+        options.linear or mapping.linear, roles, known_units(units),
     )  # fmt: skip
-    declared = dict(mapping.get("facts") or {})
+    declared = dict(mapping.facts)
     given = {"torque_constant_nm_per_a": options.torque_constant} | {
         name: getattr(options, name) or None for name in DECLARED[1:]
     }

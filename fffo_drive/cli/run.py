@@ -59,7 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="enable a drive on a bus without a commissioning record",
     )
     parser.add_argument("--served", action="store_true", help="let the daemon that serves this axis run and record it")
-    parser.add_argument("--sockets", metavar="DIR", help="directory of that daemon's sockets (default: found by the axis's name)")
+    parser.add_argument(
+        "--sockets", metavar="DIR", help="directory of that daemon's sockets (default: found by the axis's name)"
+    )
     parser.add_argument("--who", metavar="NAME", help="name to enter in the daemon's log")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -8,7 +8,6 @@ from ..drive.canopen.reported_units import counts_increments, reported_units
 from ..drive.port import DriveRefusedError
 
 PERMILLE = 1000.0
-MILLI = 1000.0
 
 
 @runtime_checkable
@@ -54,8 +53,8 @@ class _Objects:
         return read_number(self._source, index, sub)
 
 
-def read_name_plate(source: object, current_unit_a: float = 1e-3) -> NamePlate:
-    """Of a drive on a bus; a drive in process has none. `current_unit_a`: of 0x6075."""
+def read_name_plate(source: object, current_unit_a: float = 1e-3, torque_unit_nm: float = 1e-3) -> NamePlate:
+    """Of a drive on a bus; a drive in process has none. `current_unit_a`: of 0x6075, `torque_unit_nm`: of 0x6076."""
     if not isinstance(source, ObjectSource):
         return NamePlate()
     objects = _Objects(source)
@@ -64,7 +63,7 @@ def read_name_plate(source: object, current_unit_a: float = 1e-3) -> NamePlate:
     return NamePlate(
         reported.get("counts_per_rev"),
         reported.get("velocity_units_per_rps"),
-        torque * 1e-3 / (current * current_unit_a) if torque and current else None,
+        torque * torque_unit_nm / (current * current_unit_a) if torque and current else None,
         current * current_unit_a if current else None,
         "0x608F" if counts_increments(objects.value(0x60A8)) else "0x60A8",
         "0x60A9" if objects.value(0x60A9) else "0x6090",

@@ -203,7 +203,8 @@ class _Procedure:
         """Standstill, and the name plate."""
         self.tell("listening, no voltage")
         with self.rig.under(envelope) as runner:
-            self.plate = read_name_plate(self.rig.drive, self.facts.rated_current_unit_a)
+            units = self.facts.rated_current_unit_a, self.facts.rated_torque_unit_nm
+            self.plate = read_name_plate(self.rig.drive, *units)
             motion = runner.listen(LISTEN_S)
         self.add(motion_checks.standstill(motion))
         self.stop_if_failed("standstill")

@@ -41,6 +41,7 @@ class DeclaredFacts(StrictRecord):
     rated_torque_nm: Annotated[float | None, Field(description="drive.rated_torque_nm")] = None
     rated_current_a: Annotated[float | None, Field(description="drive.rated_current_a")] = None
     rated_current_unit_a: Annotated[float, Field(description="of 0x6075")] = MILLI
+    rated_torque_unit_nm: Annotated[float, Field(description="of 0x6076")] = MILLI
     inverted: Annotated[bool, Field(description="drive.inverted")] = False
     sdo: Annotated[list[str], Field(description="drive.sdo: its units may change every scale")] = Field(
         default_factory=list
@@ -52,7 +53,7 @@ class DeclaredFacts(StrictRecord):
     def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Records of drives without these keep their hash."""
         found: dict[str, Any] = dump(self)
-        usual = {"sdo": [], "command": "", "rated_current_unit_a": MILLI}
+        usual = {"sdo": [], "command": "", "rated_current_unit_a": MILLI, "rated_torque_unit_nm": MILLI}
         return {key: value for key, value in found.items() if key not in usual or value != usual[key]}
 
     @property

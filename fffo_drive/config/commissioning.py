@@ -20,7 +20,7 @@ from ..documents import refuse
 from ..drive.port import DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from .axis import AxisFile, beside
-from .drive_section import RATED_CURRENT_UNITS, CanopenDriveSection
+from .drive_section import RATED_CURRENT_UNITS, RATED_TORQUE_UNITS, CanopenDriveSection
 
 AGAIN = "commission it again (fffo-drive commission {path}), or give --uncommissioned"
 
@@ -47,6 +47,7 @@ def declared_facts(axis: AxisFile, model: ModelFile) -> DeclaredFacts:
         rated_torque_nm=section.rated_torque_nm,
         rated_current_a=section.rated_current_a,
         rated_current_unit_a=RATED_CURRENT_UNITS[section.rated_current_unit],
+        rated_torque_unit_nm=RATED_TORQUE_UNITS[section.rated_torque_unit],
         inverted=section.inverted,
         sdo=[entry.write().text for entry in section.sdo],
         command=_command_text(section),

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..recording.column_map import TIME, identity_map
 from ..recording.errors import RecordingError
 from ..recording.load import read_log
 from ..recording.reader import Run
-from ..recording.table import SUFFIXES, LogTable, read_table
+from ..recording.table import SUFFIXES, LogTable, column_names, read_table
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
 from .timebase import at_lower_rate, on_even_grid
@@ -112,7 +113,10 @@ def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
     """A log as it is, a table by the columns that the facts declare. Raises RecordingError, OSError."""
     if path.name.endswith(RECORDINGS):
         return read_log(path)
-    return read_table(path, facts.column_map(), uneven_time=True)
+    mapping = facts.column_map()
+    if mapping is None and facts.sample_rate_hz is not None and TIME not in (names := column_names(path)):
+        mapping = replace(identity_map(names), rate_hz=facts.sample_rate_hz)
+    return read_table(path, mapping, uneven_time=True)
 
 
 def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:

@@ -34,7 +34,6 @@ from .rows import (
 )
 
 Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Kind = Literal["contradiction", "drift", "confounded", "repeated_reference"]
 
 PARAMETERS = ("inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "offset_nm")

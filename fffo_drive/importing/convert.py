@@ -32,7 +32,7 @@ from ..recording.schema import (
 from ..recording.writer import LIBRARY
 from ..signals import REFERENCE_POSITION, SIGNALS, Signal
 from ..units import NS_PER_S, unit_on
-from .evidence import unwrapped
+from .evidence import signed, unwrapped
 from .recognise import (
     COMMAND_A,
     CURRENT_A,
@@ -116,9 +116,7 @@ def usable(name: str, log: Converted, found: Recognition) -> Converted:
 
 
 def _values(source: Source, guess: Guess) -> Floats:
-    raw = source.columns[guess.column]
-    if guess.unsigned is not None:
-        raw = np.where(raw >= guess.unsigned / 2.0, raw - guess.unsigned, raw)
+    raw = signed(source.columns[guess.column], guess.unsigned)
     if guess.wrap is not None:
         raw = unwrapped(raw, guess.wrap)
     return np.asarray(raw * guess.factor)

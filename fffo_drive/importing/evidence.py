@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,14 @@ from .source import Floats
 LEAST_STEPS = 8
 STEADY = 0.5  # of the median step: of a time that scatters, most steps are within
 RISING_SHARE = 0.95
+MOSTLY = 0.9  # of the steps of a time
+COUNTS_TOLERANCE = 0.02
 ANGLE_WRAPS = (1.0, 2.0 * np.pi, 360.0, 4.0 * np.pi, 720.0)
-COUNTER_WRAPS = (360.0, 720.0, *(float(1 << bits) for bits in range(8, 33)))
-WRAP_TOLERANCE = 0.02
+WHOLE_ANGLE_WRAPS = (360.0, 720.0)
+COUNTER_WRAPS = tuple(float(1 << bits) for bits in range(8, 33))
+STAMP_WRAPS = COUNTER_WRAPS[8:]  # from 2^16: an angle's turn is no reason to wind time on
+WRAP_TOLERANCE = 0.02  # of an angle, which may be scaled and rounded; a counter wraps at a whole number
+LEAST_JUMP = 8.0  # smallest steps: a sensor at rest toggles between few values
 LARGE_JUMP = 0.5  # of the range: what a motion does not do in one sample
 SMOOTH_SAMPLES = 9
 SMOOTH_S = 0.01
@@ -39,24 +45,78 @@ def is_time(values: Floats) -> bool:
     return bool(np.mean(np.abs(steps - usual) < STEADY * usual) > RISING_SHARE)
 
 
-def wrap_of(values: Floats) -> float | None:
-    """The range at which a counter or an angle wraps, in its own unit; None where nothing jumps."""
+class Wrap(NamedTuple):
+    """What the jumps of a position or a counter say."""
+
+    at: float | None  # the range at which it is unwrapped; None: jumps that are no wrap
+    jump: float  # median size, without the motion meanwhile
+    sure: bool  # it is a turn, or a range that is known; an assumption otherwise
+
+
+def wrap_of(values: Floats, turn: float | None = None) -> Wrap | None:
+    """The range at which a position wraps; None where nothing jumps. `turn`: one turn in its unit, where that is known.
+
+    Whole turns go first: an encoder of 4000 counts wraps at 4000, close to a power of two.
+    """
+    found = _jumps(values)
+    if found is None:
+        return None
+    if turn is not None and found.doubt < 0.5 * turn:  # beyond that any multiple would fit
+        turns = max(1.0, round(found.size / turn)) * turn
+        if abs(found.size - turns) <= found.doubt:
+            return Wrap(turns, found.size, True)
+    whole = _are_whole(values)
+    known = [(at, 0.0) for at in (*COUNTER_WRAPS, *(WHOLE_ANGLE_WRAPS if whole else ()))]
+    known += [] if whole else [(at, WRAP_TOLERANCE * at) for at in ANGLE_WRAPS]
+    fitting = [at for at, tolerance in known if abs(found.size - at) <= found.doubt + tolerance]
+    if fitting:
+        nearest = min(fitting, key=lambda at: abs(at - found.size))
+        return Wrap(nearest, found.size, found.doubt <= WRAP_TOLERANCE * nearest)
+    if found.size < LEAST_JUMP * found.smallest_step:
+        return None
+    # a counter that jumps by one size again and again wraps there, whatever that is: a modulo axis
+    return Wrap(float(round(found.size)) if whole and found.alike else None, found.size, False)
+
+
+def stamp_wrap_of(values: Floats) -> float | None:
+    """The range at which a counter of time begins anew; None where none does."""
+    found = _jumps(values)
+    if found is None or not _are_whole(values):
+        return None
+    return next((at for at in STAMP_WRAPS if abs(found.size - at) <= found.doubt), None)
+
+
+class _Jumps(NamedTuple):
+    size: float
+    doubt: float  # by how much the size may be wrong
+    smallest_step: float
+    alike: bool  # several, of one size
+
+
+def _jumps(values: Floats) -> _Jumps | None:
+    """Steps that no motion makes in one sample; each without the motion, which is as in the samples beside it."""
     given = values[np.isfinite(values)]
     steps = np.diff(given)
-    span = float(np.ptp(given)) if given.size else 0.0
-    jumps = steps[np.abs(steps) > LARGE_JUMP * span]
-    if span == 0.0 or not jumps.size or jumps.size > LARGE_JUMP * steps.size:
+    large = np.abs(steps) > LARGE_JUMP * (float(np.ptp(given)) if given.size else 0.0)
+    places = np.flatnonzero(large)
+    if not places.size or places.size > LARGE_JUMP * steps.size:
         return None
-    small = steps[np.abs(steps) <= LARGE_JUMP * span]
-    usual = float(np.quantile(np.abs(small), 0.9)) if small.size else 0.0
-    size = float(np.median(np.abs(jumps)))
-    whole = bool(np.array_equal(given, np.round(given)))
-    for known in sorted(
-        COUNTER_WRAPS if whole else (*ANGLE_WRAPS, *COUNTER_WRAPS), key=lambda k: abs(np.log(size / k))
-    ):
-        if size <= known * (1.0 + 1e-9) and known - size <= 2.0 * usual + WRAP_TOLERANCE * known:
-            return known
-    return None
+    others = np.flatnonzero(~large)
+    small = steps[others]
+    sizes = np.abs(steps[places] - np.interp(places, others, small))
+    behind = np.minimum(np.searchsorted(others, places), others.size - 1)
+    changes = np.abs(small[behind] - small[np.maximum(behind - 1, 0)])  # of the motion, at the jumps
+    usual = float(np.quantile(np.abs(np.diff(small)), 0.9)) if small.size > 1 else 0.0
+    size = float(np.median(sizes))
+    doubt = max(2.0 * usual, float(np.median(changes))) + (1.0 if _are_whole(values) else 1e-9 * size)
+    moving = np.abs(small[small != 0.0])
+    alike = sizes.size > 1 and float(np.median(np.abs(sizes - size))) <= doubt
+    return _Jumps(size, doubt, float(moving.min()) if moving.size else size, alike)
+
+
+def _are_whole(values: Floats) -> bool:
+    given = values[np.isfinite(values)]
+    return bool(np.array_equal(given, np.round(given)))
 
 
 def unwrapped(values: Floats, wrap: float) -> Floats:
@@ -70,7 +130,7 @@ def unwrapped(values: Floats, wrap: float) -> Floats:
 def stored_without_sign(values: Floats) -> float | None:
     """The range (65536 and such) of a signed number that was stored as an unsigned one; None where it was not."""
     given = values[np.isfinite(values)]
-    if not given.size or given.min() < 0.0 or not np.array_equal(given, np.round(given)):
+    if not given.size or given.min() < 0.0 or not _are_whole(given):
         return None
     for bits in (16, 32):
         whole = float(1 << bits)
@@ -78,6 +138,26 @@ def stored_without_sign(values: Floats) -> float | None:
             middle = (given > OUTER * whole) & (given < (1.0 - OUTER) * whole)
             return whole if not middle.any() and (given < OUTER * whole).any() else None
     return None
+
+
+def signed(values: Floats, whole: float | None) -> Floats:
+    """Values with the sign that was lost; as they are where `whole`, their range, is None."""
+    return values if whole is None else np.where(values >= whole / 2.0, values - whole, values)
+
+
+def at_stamps(values: Floats, stamps: Floats, wanted: Floats, wrap: float | None = None) -> Floats:
+    """Values of some stamps at others of the same clock, by straight lines; NaN before the first and after the last.
+
+    What wraps is interpolated through its wraps and wraps afterwards: where it does tells of its unit.
+    """
+    given = np.isfinite(values) & np.isfinite(stamps)
+    order = np.argsort(stamps[given], kind="stable")
+    values, stamps = values[given][order], stamps[given][order]
+    if not values.size:
+        return np.full(wanted.size, np.nan)
+    running = values if wrap is None else unwrapped(values, wrap)
+    found = np.interp(wanted, stamps, running, left=np.nan, right=np.nan)
+    return np.asarray(found if wrap is None else np.mod(found - values.min(), wrap) + values.min())
 
 
 def smooth_derivative(values: Floats, time_s: Floats) -> tuple[Floats, Floats]:
@@ -129,3 +209,39 @@ def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:
     found = np.linalg.lstsq(matrix / scale, target, rcond=None)[0]
     share = 1.0 - float(np.var(target - (matrix / scale) @ found)) / float(np.var(target))
     return Driven(share, float(target @ matrix[:, 1]) < 0.0 and float(found[0]) < 0.0)
+
+
+def rises(values: Floats) -> bool:
+    """Whether values (n,) hardly ever fall."""
+    steps = np.diff(values[np.isfinite(values)])
+    return bool((steps > 0.0).any()) and float(np.mean(steps >= 0.0)) > MOSTLY
+
+
+def is_flag(values: Floats) -> bool:
+    """Nothing but 0 and 1."""
+    return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
+
+
+def says_nothing(values: Floats) -> bool:
+    """All missing, or one number throughout."""
+    given = values[np.isfinite(values)]
+    return given.size < 2 or float(np.ptp(given)) == 0.0
+
+
+def bridged(values: Floats) -> Floats:
+    """Missing samples by straight lines, for derivatives."""
+    given = np.isfinite(values)
+    if given.all():
+        return values
+    places = np.arange(values.size)
+    return np.interp(places, places[given], values[given])
+
+
+def likely_counts(found: float) -> float:
+    """Counts of a turn: a power of two or a round number nearby, else the next whole number."""
+    power = 2.0 ** round(math.log2(found)) if found > 1.0 else found
+    if abs(found / power - 1.0) < COUNTS_TOLERANCE:
+        return power
+    digits = 10.0 ** max(0, math.floor(math.log10(max(found, 1.0))) - 1)
+    rounded = round(found / digits) * digits
+    return rounded if abs(found / rounded - 1.0) < COUNTS_TOLERANCE else float(round(found))

@@ -11,7 +11,10 @@ import numpy as np
 
 from ..recording.errors import RecordingError
 from ..units import NS_PER_S
+from .evidence import at_stamps
+from .names import measured_wrap
 from .source import Source, source_of_arrays
+from .units import split_name
 
 DEEPEST = 6
 LARGEST_ARRAY = 64  # numbers of a message that become columns: an image is no log of an axis
@@ -118,7 +121,10 @@ def _joined(path: Path, topics: dict[str, list[tuple[int, dict[str, float]]]], r
         label = "" if len(topics) == 1 else topic.strip("/").replace("/", ".") + "."
         for name in dict.fromkeys(name for _, numbers in rows for name in numbers):
             values = np.array([numbers.get(name, np.nan) for _, numbers in rows])
-            columns[label + name] = values if topic == fullest else np.interp(time_s, own_s[order], values[order])
+            if topic != fullest:
+                heading, unit = split_name(name)
+                values = at_stamps(values, own_s, time_s, measured_wrap(heading, unit, values[order]))
+            columns[label + name] = values
         if topic != fullest:
             remarks.append(f"{topic} is interpolated to the stamps of {fullest}")
     return source_of_arrays(path, columns, tuple(remarks))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, PACE, SHARE, SPEED, TIME, TORQUE, UNITS, VOLTAGE
+from .evidence import wrap_of
+from .source import Floats
+from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, PACE, SHARE, SPEED, TIME, TORQUE, UNITS, VOLTAGE, turn_of
 
 POSITION, VELOCITY, ACCELERATION, ENABLE = "position", "velocity", "acceleration", "enable"
 INPUTS = (CURRENT, TORQUE, VOLTAGE)  # what drives the axis, the best first
@@ -103,3 +105,13 @@ def meaning_of(name: str, unit: str | None) -> Meaning:
     asked = any(token in _ASKED for token in tokens)
     measured = any(token in _MEASURED for token in tokens)
     return Meaning(quantity, asked and not measured, measured, any(token in _ASIDE for token in tokens))
+
+
+def measured_wrap(name: str, unit: str | None, values: Floats) -> float | None:
+    """The range at which a column wraps by its heading and its values: a measured position does, which moves steadily.
+
+    A set point and a current may jump for other reasons.
+    """
+    found = meaning_of(name, unit)
+    jumps = wrap_of(values, turn_of(unit)) if found.quantity == POSITION and not found.asked else None
+    return None if jumps is None else jumps.at

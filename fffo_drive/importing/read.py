@@ -13,7 +13,7 @@ FEATHER_MAGIC = b"ARROW1"
 ZIP_MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
 MATLAB_MAGIC = b"MATLAB"
-OTHERS = {b"\x1f\x8b": "", b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a workbook of Excel (XLS)"}
+OTHERS = {b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a workbook of Excel (XLS)"}
 
 
 def read_source(path: Path | str) -> Source:
@@ -50,7 +50,7 @@ def _read(path: Path, begin: bytes) -> Source:
     if begin.startswith(ZIP_MAGIC):
         raise RecordingError(f"{path}: a ZIP archive or a workbook of Excel: unpack it, or save the sheet as CSV")
     for magic, kind in OTHERS.items():
-        if kind and begin.startswith(magic):
+        if begin.startswith(magic):
             raise RecordingError(f"{path}: {kind}, no log")
     if suffix == ".json" or begin.lstrip()[:1] in (b"{", b"["):
         return binary.read_json(path)

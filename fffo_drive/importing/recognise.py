@@ -16,29 +16,40 @@ import numpy as np
 from ..recording.errors import RecordingError, did_you_mean
 from ..signals import REFERENCE_POSITION
 from .evidence import (
+    Wrap,
+    bridged,
     driven_by,
+    is_flag,
     is_time,
+    likely_counts,
     relation,
+    rises,
+    says_nothing,
+    signed,
     smooth_derivative,
     smoothed,
+    stamp_wrap_of,
     stored_without_sign,
     unwrapped,
     wrap_of,
 )
 from .names import ENABLE, INPUTS, POSITION, VELOCITY, Meaning, meaning_of
 from .source import Floats, Source
-from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE, unknown_unit
+from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE, turn_of, unknown_unit
 
 TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
 ENCODER_REV = REFERENCE_POSITION.name
 SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
+RECOGNISED = (
+    TIME_S, POSITION_REV, VELOCITY_RPS, COMMAND_A, CURRENT_A, REFERENCE_RPS, SETPOINT_REV, ENCODER_REV,
+)  # fmt: skip
 PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
 SAME = 0.999  # ... of a reference with what follows it
+LEAST_STEPPING = 0.5  # of the stamps; with fewer the clock is coarser than the sampling
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 SLOPE_TOLERANCE = 0.05
-COUNTS_TOLERANCE = 0.02
 SPEED_UNITS = {"rps": 1.0, "rpm": 60.0, "rad/s": 2.0 * math.pi, "deg/s": 360.0}  # of one turn a second
 ANGLE_UNITS = {"rev": 1.0, "rad": 2.0 * math.pi, "deg": 360.0}  # of one turn
 
@@ -113,10 +124,10 @@ class _Recogniser:
 
     def run(self) -> Recognition:
         period_s = self._time()
-        enable = next((c.name for c in self._free() if c.meaning.quantity == ENABLE and _is_flag(c.values)), None)
+        enable = next((c.name for c in self._free() if c.meaning.quantity == ENABLE and is_flag(c.values)), None)
         if enable:
             self.columns.pop(enable)
-        for name in [c.name for c in self._free() if _nothing(c.values) and not c.meaning.asked]:
+        for name in [c.name for c in self._free() if says_nothing(c.values) and not c.meaning.asked]:
             self.columns.pop(name)
         position = self._pick(POSITION_REV, POSITION, asked=False)
         velocity = self._pick(VELOCITY_RPS, VELOCITY, asked=False)
@@ -184,7 +195,7 @@ class _Recogniser:
             return 1.0 / self.hints.rate_hz
         columns = list(self.columns.values())
         hinted = self._hinted(TIME_S)
-        named = [c for c in columns if c.meaning.quantity == TIME and _rises(c.values)]
+        named = [c for c in columns if c.meaning.quantity == TIME and rises(c.values)]
         first = columns[:1] if columns and columns[0].meaning.quantity is None and is_time(columns[0].values) else []
         anywhere = [c for c in columns if c.meaning.quantity is None and is_time(c.values)]
         found = next(iter([hinted] if hinted else [*named, *first, *anywhere]), None)
@@ -194,7 +205,13 @@ class _Recogniser:
                 return self.source.period_s
             self._refuse("no time", "--time COLUMN or --rate HZ")
         assert found is not None
-        step = float(np.median(np.abs(np.diff(found.values[np.isfinite(found.values)]))))
+        steps = np.abs(np.diff(found.values[np.isfinite(found.values)]))
+        if not float(np.mean(steps > 0.0) if steps.size else 0.0) > LEAST_STEPPING:
+            raise RecordingError(
+                f"{self.source.path}: column {found.name!r} does not move on in most rows: the stamps are rounded: "
+                "give --rate HZ"
+            )
+        step = float(np.median(steps))
         unit, sure = found.unit, True
         evidence = f"unit {unit}, " if unit else ""
         if unit is None or UNITS[unit].measures != TIME:
@@ -206,7 +223,7 @@ class _Recogniser:
             others = [f"in {u} it would be {1.0 / (step * UNITS[u].factor):.4g} Hz" for u in able[1:]]
             evidence = "; ".join([f"in {unit} the rate is plausible", *others]) + "; "
         factor = UNITS[unit].factor
-        wrap = wrap_of(found.values)
+        wrap = stamp_wrap_of(found.values)
         self.guesses[TIME_S] = Guess(
             TIME_S, found.name, unit, factor, wrap, None,
             f"{evidence}{1.0 / (step * factor):.6g} Hz" + (f", wraps at {wrap:g}" if wrap else ""), sure,
@@ -222,17 +239,22 @@ class _Recogniser:
             return np.asarray(np.arange(rows) * period_s, dtype=np.float64)
         raw = self.source.columns[guess.column]
         time_s = (unwrapped(raw, guess.wrap) if guess.wrap else raw) * guess.factor
-        steps = np.diff(time_s)
+        steps = np.diff(bridged(time_s))
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
-        time_s = _bridged(time_s)
-        return np.asarray(np.maximum.accumulate(time_s) + np.arange(rows) * usual * 1e-9)
+        steps = np.where(steps < 0.0, usual, steps)  # a log that begins anew
+        return np.asarray(np.concatenate([[0.0], np.cumsum(steps)]) + np.arange(rows) * usual * 1e-9)
 
     # position and velocity
 
+    def _wrap(self, column: _Column) -> Wrap | None:
+        """The wraps of a position, whole turns first where its unit or the user tells what a turn is."""
+        counted = column.unit is None or UNITS[column.unit].measures == COUNT
+        return wrap_of(column.values, self.hints.counts_per_turn if counted else turn_of(column.unit))
+
     def _running(self, column: _Column) -> Floats:
         """A position without wraps, missing samples bridged."""
-        wrap = wrap_of(column.values)
-        return _bridged(column.values if wrap is None else unwrapped(column.values, wrap))
+        wrap = self._wrap(column)
+        return bridged(column.values if wrap is None or wrap.at is None else unwrapped(column.values, wrap.at))
 
     def _pair_by_data(self) -> tuple[_Column | None, _Column | None]:
         """Of columns without a name, the pair of which one is the derivative of the other."""
@@ -243,7 +265,7 @@ class _Recogniser:
             rate, _ = smooth_derivative(self._running(one), time_s)
             for other in free:
                 if other is not one:
-                    alike = abs(relation(smoothed(_bridged(other.values)), rate).correlation)
+                    alike = abs(relation(smoothed(bridged(other.values)), rate).correlation)
                     if alike > LIKE and (best is None or alike > best[0]):
                         best = (alike, one, other)
         return (None, None) if best is None else best[1:]
@@ -253,7 +275,7 @@ class _Recogniser:
         slope = alike = None
         if position is not None and velocity is not None:
             rate, _ = smooth_derivative(self._running(position), self._time_s())
-            slope, alike = relation(smoothed(_bridged(velocity.values)), rate)
+            slope, alike = relation(smoothed(bridged(velocity.values)), rate)
             if abs(alike) < 0.5:
                 self.remarks.append(
                     f"{velocity.name!r} is not the derivative of {position.name!r} (r = {alike:.2f}): it is left out"
@@ -265,7 +287,8 @@ class _Recogniser:
             self._velocity(velocity, position, slope, alike)
 
     def _position(self, column: _Column, velocity: _Column | None, slope: float | None) -> None:
-        wrap = wrap_of(column.values)
+        jumps = self._wrap(column)
+        wrap = None if jumps is None else jumps.at
         unit, evidence, sure = column.unit, [], True
         counts = self.hints.counts_per_turn
         measures = UNITS[unit].measures if unit else None
@@ -285,8 +308,9 @@ class _Recogniser:
             unit, text, sure = self._angle_unit(wrap, velocity, slope)
             factor = UNITS[unit].factor
             evidence.append(text)
-        if wrap is not None:
-            evidence.append(f"wraps at {wrap:.6g}, unwrapped")
+        if jumps is not None:
+            evidence.append(_said_of(jumps))
+            sure = sure and jumps.sure
         self.guesses[POSITION_REV] = Guess(
             POSITION_REV, column.name, unit, factor, wrap, None, ", ".join(evidence), sure
         )
@@ -299,7 +323,7 @@ class _Recogniser:
             return given, f"{given:g} counts a turn, as given"
         if velocity is not None and velocity.unit in SPEED_UNITS and slope:
             found = SPEED_UNITS[velocity.unit] / abs(slope)
-            whole = _likely_counts(found)
+            whole = likely_counts(found)
             return whole, f"{whole:g} counts a turn, by {velocity.name!r} in {velocity.unit}"
         if wrap is not None:
             return wrap, ""
@@ -323,7 +347,7 @@ class _Recogniser:
             if found is None:
                 raise RecordingError(
                     f"{self.source.path}: a turn is {turn:.5g} of the position's unit by {velocity.name!r} in "
-                    f"{velocity.unit}: say --counts-per-turn {_likely_counts(turn):g}, or the unit of one of them"
+                    f"{velocity.unit}: say --counts-per-turn {likely_counts(turn):g}, or the unit of one of them"
                 )
             return found, f"{found}, by {velocity.name!r} in {velocity.unit}", True
         if slope:
@@ -403,42 +427,77 @@ class _Recogniser:
         if hinted.unit is not None and UNITS[hinted.unit].measures == ANGLE:
             own = math.copysign(UNITS[hinted.unit].factor, found.slope)
         evidence = f"r = {found.correlation:.6f} with {position.column!r}" + (", sign reversed" if own < 0.0 else "")
+        jumps = self._wrap(hinted)
+        if jumps is not None:
+            evidence += f", {_said_of(jumps)}"
         self.guesses[ENCODER_REV] = Guess(
-            ENCODER_REV, hinted.name, hinted.unit or "-", own, wrap_of(hinted.values), None, evidence, True
-        )
+            ENCODER_REV, hinted.name, hinted.unit or "-", own, None if jumps is None else jumps.at, None, evidence,
+            jumps is None or jumps.sure,
+        )  # fmt: skip
 
     # references
 
     def _references(self) -> None:
-        velocity = self.guesses.get(VELOCITY_RPS)
         reference = self._pick(REFERENCE_RPS, VELOCITY, asked=True)
         if reference is not None:
-            if reference.unit is not None and UNITS[reference.unit].measures not in (COUNT, SHARE):
-                factor, unit, sure = UNITS[reference.unit].factor, reference.unit, True
-            elif velocity is not None:
-                factor, unit, sure = velocity.factor, velocity.unit, velocity.sure
-            else:
-                position = self.guesses[POSITION_REV]
-                factor, unit, sure = position.factor, f"{position.unit}/s", position.sure
-            self.guesses[REFERENCE_RPS] = Guess(
-                REFERENCE_RPS, reference.name, unit, factor, None, None, "by its name", sure
-            )
+            self._reference(reference)
         followed = self.guesses.get(POSITION_REV)
         if followed is None:
             return
         asked = self._pick(SETPOINT_REV, POSITION, asked=True) or self._follows(followed)
         if asked is not None and asked.name != followed.column:
-            evidence = "by its name" if asked.meaning.asked else f"{followed.column!r} follows it"
-            self.guesses[SETPOINT_REV] = Guess(
-                SETPOINT_REV, asked.name, followed.unit, followed.factor, wrap_of(asked.values), None, evidence, True
-            )
+            self._setpoint(asked, followed)
+
+    def _reference(self, column: _Column) -> None:
+        """A velocity that was asked for: in its own unit, else in that of the motion, with the sign of the velocity."""
+        velocity, position = self.guesses.get(VELOCITY_RPS), self.guesses.get(POSITION_REV)
+        followed = velocity or position
+        assert followed is not None
+        evidence = "by its name"
+        if column.unit is not None and UNITS[column.unit].measures not in (COUNT, SHARE):
+            factor, unit, sure = math.copysign(UNITS[column.unit].factor, followed.factor), column.unit, True
+        elif column.unit not in (None, self.columns[followed.column].unit):
+            return self._leave_out(column, followed)
+        elif velocity is not None:
+            factor, unit, sure = velocity.factor, velocity.unit, velocity.sure
+        else:
+            factor, unit, sure = followed.factor, f"{followed.unit}/s", followed.sure
+        if factor < 0.0:
+            evidence += f", sign reversed as that of {followed.column!r}"
+        self.guesses[REFERENCE_RPS] = Guess(REFERENCE_RPS, column.name, unit, factor, None, None, evidence, sure)
+        return None
+
+    def _setpoint(self, column: _Column, followed: Guess) -> None:
+        """A position that was asked for: in its own unit, else in that of the position."""
+        measures = UNITS[column.unit].measures if column.unit else None
+        counts = self.hints.counts_per_turn
+        unit, factor = column.unit or followed.unit, followed.factor
+        if measures == (LENGTH if self.linear else ANGLE):
+            factor = math.copysign(UNITS[unit].factor, followed.factor)
+        elif measures == COUNT and counts is not None:
+            factor = math.copysign(1.0 / counts, followed.factor)
+        elif column.unit not in (None, followed.unit):
+            return self._leave_out(column, followed)
+        # a set point may step by a turn: it wraps where the position does
+        jumps = self._wrap(column) if followed.wrap is not None else None
+        evidence = "by its name" if column.meaning.asked else f"{followed.column!r} follows it"
+        self.guesses[SETPOINT_REV] = Guess(
+            SETPOINT_REV, column.name, unit, factor, None if jumps is None else jumps.at, None, evidence, True
+        )
+        return None
+
+    def _leave_out(self, column: _Column, other: Guess) -> None:
+        self.remarks.append(
+            f"{column.name!r} in {column.unit} is left out: nothing says what that is beside {other.column!r} in "
+            f"{other.unit}"
+        )
 
     def _follows(self, position: Guess) -> _Column | None:
         """A column without a name that the position follows."""
         own = self._running(self.columns[position.column])
         for c in self._free():
             if c.meaning.quantity is None and SETPOINT_REV not in self.hints.roles:
-                other = _bridged(c.values)
+                other = bridged(c.values)
                 found = relation(other - other.mean(), own - own.mean())
                 if found.correlation > SAME and abs(found.slope - 1.0) < SLOPE_TOLERANCE:
                     return c
@@ -466,8 +525,15 @@ class _Recogniser:
             worse = max(found, key=lambda s: (INPUTS.index(kinds[s]), s == CURRENT_A))
             self.remarks.append(f"{found[worse].name!r} is left out: the other input is a {kinds[COMMAND_A]}")
             del found[worse]
+        raw = {signal for signal, c in found.items() if c.unit and UNITS[c.unit].measures in (SHARE, COUNT)}
+        if len(raw) == 1 and len(found) == 2:  # of a rated value that nobody knows: no scale beside the other
+            share = found.pop(raw.pop())
+            self.remarks.append(
+                f"{share.name!r} in {share.unit} is left out: the other input, {next(iter(found.values())).name!r}, "
+                "has a unit"
+            )
         if not found:
-            unnamed = [c for c in self._free() if c.meaning.quantity is None and not _is_flag(c.values)]
+            unnamed = [c for c in self._free() if c.meaning.quantity is None and not is_flag(c.values)]
             shares = {c.name: driven_by(c.values, velocity, acceleration).share for c in unnamed}
             name = max(shares, key=lambda n: shares[n], default=None)
             if name is None or shares[name] < EXPLAINED:
@@ -478,7 +544,7 @@ class _Recogniser:
             self.remarks.append(f"no command: {found[CURRENT_A].name!r}, which is measured, stands in for it")
         unit = self._input_unit(next(iter(found.values())))
         for signal, column in found.items():
-            self.guesses[signal] = self._input(signal, column, velocity, acceleration)
+            self.guesses[signal] = self._input(signal, column, unit, velocity, acceleration)
         return unit
 
     def _motion(self) -> tuple[Floats, Floats]:
@@ -488,24 +554,22 @@ class _Recogniser:
         if guess is not None:
             return smooth_derivative(self._running(self.columns[guess.column]) * guess.factor, time_s)
         own = self.guesses[VELOCITY_RPS]
-        velocity = _bridged(self.source.columns[own.column]) * own.factor
+        velocity = bridged(self.source.columns[own.column]) * own.factor
         return velocity, smooth_derivative(velocity, time_s)[0]
 
     def _input_unit(self, column: _Column) -> str:
         if column.unit is None:
             return {TORQUE: "N" if self.linear else "Nm", VOLTAGE: "V"}.get(column.meaning.quantity or "", "A")
         measures = UNITS[column.unit].measures
-        return {TORQUE: "Nm", FORCE: "N", VOLTAGE: "V", SHARE: column.unit}.get(measures, "A")
+        return {TORQUE: "Nm", FORCE: "N", VOLTAGE: "V", SHARE: column.unit, COUNT: column.unit}.get(measures, "A")
 
-    def _input(self, signal: str, column: _Column, velocity: Floats, acceleration: Floats) -> Guess:
+    def _input(
+        self, signal: str, column: _Column, unit_of_inputs: str, velocity: Floats, acceleration: Floats
+    ) -> Guess:
         unit = column.unit
-        factor = UNITS[unit].factor if unit and UNITS[unit].measures != SHARE else 1.0
+        factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
         whole = stored_without_sign(column.values)
-        values = (
-            column.values
-            if whole is None
-            else np.where(column.values >= whole / 2, column.values - whole, column.values)
-        )
+        values = signed(column.values, whole)
         driven = driven_by(values, velocity, acceleration)
         evidence = f"{100.0 * max(driven.share, 0.0):.0f} % of it is inertia and friction"
         if unit is None:
@@ -517,35 +581,9 @@ class _Recogniser:
         return Guess(signal, column.name, unit or "-", factor, None, whole, evidence, unit is not None)
 
 
-def _rises(values: Floats) -> bool:
-    steps = np.diff(values[np.isfinite(values)])
-    return bool((steps > 0.0).any()) and float(np.mean(steps >= 0.0)) > 0.9
-
-
-def _is_flag(values: Floats) -> bool:
-    return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
-
-
-def _nothing(values: Floats) -> bool:
-    """All missing, or one number throughout."""
-    given = values[np.isfinite(values)]
-    return given.size < 2 or float(np.ptp(given)) == 0.0
-
-
-def _bridged(values: Floats) -> Floats:
-    """Missing samples by straight lines, for derivatives."""
-    given = np.isfinite(values)
-    if given.all():
-        return values
-    places = np.arange(values.size)
-    return np.interp(places, places[given], values[given])
-
-
-def _likely_counts(found: float) -> float:
-    """Counts of a turn: a power of two or a round number nearby, else the next whole number."""
-    power = 2.0 ** round(math.log2(found)) if found > 1.0 else found
-    if abs(found / power - 1.0) < COUNTS_TOLERANCE:
-        return power
-    digits = 10.0 ** max(0, math.floor(math.log10(max(found, 1.0))) - 1)
-    rounded = round(found / digits) * digits
-    return rounded if abs(found / rounded - 1.0) < COUNTS_TOLERANCE else float(round(found))
+def _said_of(wrap: Wrap) -> str:
+    """What the jumps of a position mean, in words."""
+    if wrap.sure:
+        return f"wraps at {wrap.at:.6g}, unwrapped"
+    meant = "no turn and no range that is known" if wrap.at is None else f"unwrapped at {wrap.at:.6g} by assumption"
+    return f"jumps by {wrap.jump:.6g}, {meant} (--counts-per-turn N, --unit COLUMN=UNIT)"

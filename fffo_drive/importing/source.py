@@ -35,6 +35,14 @@ class Source:
         return next(iter(self.columns.values())).size
 
 
+def _with_nothing(objects: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Numbers and nothing (null) as numbers and NaN; objects of any other kind as they are."""
+    given = [one for one in objects.ravel() if one is not None]
+    if not given or not all(isinstance(one, bool | int | float | np.number) for one in given):
+        return objects
+    return np.array([np.nan if one is None else float(one) for one in objects.ravel()]).reshape(objects.shape)
+
+
 def source_of_arrays(
     path: Path, arrays: Mapping[str, Any], remarks: tuple[str, ...] = (), period_s: float | None = None
 ) -> Source:
@@ -47,8 +55,10 @@ def source_of_arrays(
     left: list[str] = []
     for name, value in arrays.items():
         array = np.asarray(value)
-        if array.dtype.kind == "M":  # a date: seconds since the first
-            array = (array - array.min()) / np.timedelta64(1, "s")
+        if array.dtype.kind == "O":
+            array = _with_nothing(array)
+        if array.dtype.kind == "M" and array.size:  # a date: seconds since the first
+            array = (array - np.fmin.reduce(array, axis=None)) / np.timedelta64(1, "s")  # NaT is none of them
         elif array.dtype.kind == "m":
             array = array / np.timedelta64(1, "s")
         if array.dtype.kind not in "biuf":

@@ -11,7 +11,7 @@ import datetime
 import io
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,8 @@ import numpy.typing as npt
 from ..documents import counted
 from ..recording.errors import RecordingError
 from ..recording.unpack import gunzipped
+from .evidence import at_stamps
+from .names import measured_wrap
 from .source import Floats, Source
 from .units import split_name, time_scale, unit_of
 
@@ -34,6 +36,8 @@ TICKS_PER_MS = 10_000  # of a Windows FILETIME
 FILETIMES = 1e15  # no count of milliseconds is so large
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
+GROUPED = r"^[+-]?\d{1,3}(\.\d{3})+(,\d+)?$"  # thousands with dots, where the decimal sign is a comma
+_GROUPED = re.compile(GROUPED)
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 _PERIOD = re.compile(
     r"(?:sampl\w*[ _-]*(?:period|time|interval)|cycle[ _-]*time|\bts)\W+?(?P<value>\d+(?:[.,]\d+)?)\W*"
@@ -61,15 +65,16 @@ def read_text(path: Path) -> Source:
     layout = _layout(lines, path)
     head = [line.rstrip("\r") for line in lines[: layout.first]]
     scope = _scope_channels(head, layout)
-    names, units = scope or _names(head, layout)
+    names, units, unused = (*scope, []) if scope else _names(head, lines[layout.first], layout)
     begin = 0
     for _ in range(layout.first):
         begin = text.index("\n", begin) + 1
     body = text[begin:]
     del text  # a log of 100 MB is in memory as often as somebody holds it
     columns, remarks = _numbers(path, body, layout, names)
+    remarks = unused + remarks
     if scope:
-        columns, more = _on_one_time(columns, names)
+        columns, more = _on_one_time(columns, names, units)
         units["time"] = "ms"
         remarks += more
     declared = None if scope else _declared_period_s(head)
@@ -105,7 +110,11 @@ def _value(cell: str, decimal: str) -> float | None:
         return float("nan")
     if word in WORDS:
         return WORDS[word]
-    plain = cell.replace(decimal, ".") if decimal != "." else cell
+    plain = cell
+    if decimal == ",":
+        if "." in cell and not _GROUPED.fullmatch(cell):
+            return _seconds(cell)
+        plain = cell.replace(".", "").replace(",", ".")
     if _NUMBER.fullmatch(plain):
         return float(plain.lower().replace("d", "e"))
     return _seconds(plain)
@@ -160,17 +169,21 @@ def _read_as(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, L
     return sum(numbers[k] for k in own if k >= first), Layout(delimiter, decimal, usual, first)
 
 
-def _names(head: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns and units by name, from the last lines above the numbers."""
+def _names(head: Sequence[str], row: str, layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
+    """Names of the columns, units by name, and what is not used, from the last lines above the first `row`."""
     rows: list[list[str]] = []
+    remarks: list[str] = []
     for line in reversed(head):
         plain = line.strip().lstrip(COMMENTS).strip() if line.strip()[:1] in tuple(COMMENTS) else line
         if not plain.strip():
             continue
-        cells = _cells(plain, layout.delimiter)
-        if len(cells) != layout.cells or len(rows) == 2:
+        cells = _heading(plain, layout)
+        fitted = _fitted(cells, row, layout) if len(rows) < 2 else None
+        if fitted is None:
+            if len(cells) > 1 and (not rows or (len(rows) == 1 and _are_units(rows[0]))):
+                remarks.append(f"the heading has {len(cells)} cells, the rows {layout.cells}: its names are not used")
             break
-        rows.append(cells)
+        rows.append(fitted)
     units: list[str | None] = [None] * layout.cells
     written = rows[0] if rows else [""] * layout.cells
     if rows and _are_units(rows[0]):
@@ -182,9 +195,31 @@ def _names(head: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, st
         units[k] = units[k] or unit
         if not name:
             name = "time" if units[k] is not None and time_scale(units[k]) is not None else f"column {k + 1}"
-        count = sum(other == name or other.startswith(f"{name} (") for other in names)
-        names.append(name if not count else f"{name} ({count + 1})")
-    return names, {name: unit for name, unit in zip(names, units, strict=True) if unit}
+        names.append(_distinct(name, names))
+    return names, {name: unit for name, unit in zip(names, units, strict=True) if unit}, remarks
+
+
+def _distinct(name: str, others: Sequence[str]) -> str:
+    """The name, with a number where others have it too."""
+    count = sum(other == name or other.startswith(f"{name} (") for other in others)
+    return name if not count else f"{name} ({count + 1})"
+
+
+def _heading(line: str, layout: Layout) -> list[str]:
+    """The cells of a line above the numbers, which may have a delimiter of its own; blanks may be in its names."""
+    cells = _cells(line, layout.delimiter)
+    if len(cells) == layout.cells or (len(cells) > 1 and layout.delimiter != " "):
+        return cells
+    return next((own for other in DELIMITERS if len(own := _cells(line, other)) > 1), cells)
+
+
+def _fitted(cells: list[str], row: str, layout: Layout) -> list[str] | None:
+    """The cells of a heading, as many as the row has: a line that ends in a delimiter has an empty one more.
+
+    None where they do not belong to the cells of the row.
+    """
+    spare = _cells(row, layout.delimiter)[len(cells) :] + cells[layout.cells :]
+    return None if any(spare) else (cells + [""] * layout.cells)[: layout.cells]
 
 
 def _are_units(cells: Sequence[str]) -> bool:
@@ -289,14 +324,16 @@ def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64]]:
     if pyarrow.types.is_floating(cells.type):
         return np.asarray(cells.to_numpy(zero_copy_only=False), dtype=np.float64), np.zeros(0, np.int64)
     plain = compute.utf8_trim_whitespace(cells)
-    if decimal != ".":
-        plain = compute.replace_substring(plain, decimal, ".")
-    simple = compute.match_substring_regex(plain, r"^-?[0-9]*\.?[0-9]+([eE][-+]?[0-9]+)?$")
-    values = compute.cast(compute.if_else(simple, plain, pyarrow.scalar(None, pyarrow.string())), pyarrow.float64())
+    if decimal == ",":
+        grouped = compute.match_substring_regex(plain, GROUPED)
+        plain = compute.if_else(grouped, compute.replace_substring(plain, ".", ""), plain)
+    simple = compute.match_substring_regex(plain, rf"^-?[0-9]*{re.escape(decimal)}?[0-9]+([eE][-+]?[0-9]+)?$")
+    pointed = compute.replace_substring(plain, decimal, ".")
+    values = compute.cast(compute.if_else(simple, pointed, pyarrow.scalar(None, pyarrow.string())), pyarrow.float64())
     found = np.array(values.to_numpy(zero_copy_only=False), dtype=np.float64)
     wrong = []
     for row in np.flatnonzero(~np.asarray(simple.to_numpy(zero_copy_only=False), dtype=bool)):
-        value = _value(plain[int(row)].as_py(), ".")
+        value = _value(plain[int(row)].as_py(), decimal)
         if value is None:
             wrong.append(int(row))
         found[row] = np.nan if value is None else value
@@ -329,7 +366,9 @@ def _scope_channels(head: Sequence[str], layout: Layout) -> tuple[list[str], dic
     named = [cells for cells in rows if cells and cells[0] == "Name" and len(cells) >= 2]
     if not sampled or not named:
         return None
-    channels = [cell for cell in named[-1][1::2] if cell]
+    channels: list[str] = []
+    for cell in filter(None, named[-1][1::2]):
+        channels.append(_distinct(cell, channels))
     if 2 * len(channels) != layout.cells:
         return None
     unit_row = next((cells for cells in rows if cells and cells[0] == "Unit"), [])
@@ -338,7 +377,9 @@ def _scope_channels(head: Sequence[str], layout: Layout) -> tuple[list[str], dic
     return names, {channel: found for channel, unit in units.items() if (found := unit_of(unit))}
 
 
-def _on_one_time(columns: dict[str, Floats], names: Sequence[str]) -> tuple[dict[str, Floats], list[str]]:
+def _on_one_time(
+    columns: dict[str, Floats], names: Sequence[str], units: Mapping[str, str]
+) -> tuple[dict[str, Floats], list[str]]:
     """All channels on the time of the one with the most samples; milliseconds, or FILETIME."""
     channels = [name for name in names[1::2] if name in columns]
     stamps = {channel: columns[f"time of {channel}"] for channel in channels}
@@ -351,7 +392,8 @@ def _on_one_time(columns: dict[str, Floats], names: Sequence[str]) -> tuple[dict
         if np.array_equal(stamps[channel][used], time):
             found[channel] = columns[channel][used]
         else:
-            found[channel] = np.interp(time, stamps[channel][own], columns[channel][own])
+            wrap = measured_wrap(channel, units.get(channel), columns[channel][own])
+            found[channel] = at_stamps(columns[channel][own], stamps[channel][own], time, wrap)
             remarks.append(f"{channel!r} has a time of its own: interpolated to that of {fullest!r}")
     milliseconds = (time - time[0]) / TICKS_PER_MS if time[0] > FILETIMES else time
     return {"time": milliseconds, **found}, remarks

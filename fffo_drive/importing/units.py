@@ -72,11 +72,12 @@ _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]
 _NO_UNIT = re.compile(r"[\d\s.,:-]*")  # in brackets: an index, or nothing
 _CURRENT = re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE)
 _SLASHED = re.compile(r"^(?P<name>[^/]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
-_SUFFIX = re.compile(r"^(?P<name>.*[a-zA-Z0-9])_(?P<unit>rad_s|deg_s|rad_per_s|deg_per_s|[a-zA-Z]+)$")
+_SUFFIX = re.compile(r"^(?P<name>.*?[a-z0-9])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+)$", re.IGNORECASE)
+_PER = re.compile(r"[ _]*per[ _]*")
 # a suffix like _a or _m may be an index as well: these may not
 _SAFE_SUFFIXES = {
-    "s", "ms", "us", "ns", "sec", "rev", "rad", "deg", "rps", "rpm", "rad_s", "deg_s", "ma", "nm", "mnm", "amps",
-    "counts", "inc", "ticks", "mm", "radps", "degps", "a", "mps",
+    "s", "ms", "us", "ns", "sec", "rev", "rad", "deg", "rps", "rpm", "ma", "nm", "mnm", "amps", "counts", "inc",
+    "ticks", "mm", "radps", "degps", "a", "mps",
 }  # fmt: skip
 
 
@@ -85,7 +86,9 @@ def unit_of(text: str) -> str | None:
     word = text.strip().strip("[](){}").strip()
     if word in _EXACT:
         return _EXACT[word]
-    return _ALIASES.get(word.lower().replace("per", "/").replace("_", "/") if "per" in word.lower() else word.lower())
+    lower = word.lower()  # as it is first: permille and percent hold a "per" that divides nothing
+    spelled = (lower, lower.replace(" ", "_"), _PER.sub("/", lower))
+    return next((_ALIASES[one] for one in spelled if one in _ALIASES), None)
 
 
 def split_name(text: str) -> tuple[str, str | None]:
@@ -98,8 +101,8 @@ def split_name(text: str) -> tuple[str, str | None]:
     found = _SUFFIX.match(plain)
     if found and found["unit"].lower() == "a" and not _CURRENT.search(found["name"]):
         return plain, None  # an index: x_a, phase_a
-    if found and found["unit"].lower() in _SAFE_SUFFIXES:
-        unit = unit_of({"rad_s": "rad/s", "deg_s": "deg/s"}.get(found["unit"].lower(), found["unit"]))
+    if found and (found["unit"].lower() in _SAFE_SUFFIXES or "_" in found["unit"]):
+        unit = unit_of(re.sub(r"_(per_)?", "/", found["unit"].lower()) if "_" in found["unit"] else found["unit"])
         if found["unit"].lower() == "nm":
             unit = "Nm"
         if unit:
@@ -117,6 +120,11 @@ def unknown_unit(heading: str) -> str | None:
         return None
     text = found["unit"].strip()
     return None if _NO_UNIT.fullmatch(text) or unit_of(text) else text
+
+
+def turn_of(unit: str | None) -> float | None:
+    """One turn in a unit of angle; None for any other."""
+    return 1.0 / UNITS[unit].factor if unit is not None and UNITS[unit].measures == ANGLE else None
 
 
 def time_scale(unit: str | None) -> float | None:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import yaml
+from pydantic import Field
 
-from ..documents import DocumentError, read_text, refuse
+from ..documents import DocumentError, StrictRecord, check, parse, read_text, refuse
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import DataError, distinct_names, load_record, one_rate
 from ..identification.facts import DriveFacts
 from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
 from ..importing.read import read_source
-from ..importing.recognise import Guess, Hints, Recognition, recognise
+from ..importing.recognise import RECOGNISED, Guess, Hints, Recognition, recognise
 from ..importing.source import Source
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError, did_you_mean
@@ -24,7 +25,19 @@ MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
 COLUMNS_NAME = "columns.png"
 OTHER_SUFFIXES = {".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc"}
-MAP_KEYS = {"roles", "units", "rate_hz", "counts_per_turn", "linear", "facts"}
+
+
+class ImportMap(StrictRecord):
+    """Columns and units of the logs of an axis, as an import writes them for the next one."""
+
+    roles: Annotated[dict[str, str | None], Field(description="signal: column; empty: none")] = Field(
+        default_factory=dict
+    )
+    units: Annotated[dict[str, str], Field(description="column: unit")] = Field(default_factory=dict)
+    rate_hz: Annotated[float | None, Field(gt=0, description="where no column is the time")] = None
+    counts_per_turn: Annotated[float | None, Field(gt=0, description="of a position in counts")] = None
+    linear: Annotated[bool, Field(description="m and N instead of rev and Nm")] = False
+    facts: Annotated[dict[str, Any], Field(description="of the axis, as `facts.yaml`")] = Field(default_factory=dict)
 
 
 class RecognisedLog(NamedTuple):
@@ -67,11 +80,11 @@ def recognised_logs(
     return [recognised(source, hints) for source in sources]
 
 
-def _not_in(source: Source, hints: Hints, mapping: dict[str, Any]) -> list[tuple[str, str]]:
+def _not_in(source: Source, hints: Hints, mapping: ImportMap) -> list[tuple[str, str]]:
     """(key, what is wrong) of the columns that a map names and a log does not have, where nobody said otherwise."""
-    roles = {key: name for key, name in (mapping.get("roles") or {}).items() if name and hints.roles.get(key) == name}
+    roles = {key: name for key, name in mapping.roles.items() if name and hints.roles.get(key) == name}
     named = [(f"roles.{key}", name) for key, name in roles.items()]
-    named += [(f"units.{name}", name) for name in mapping.get("units") or {} if name not in roles.values()]
+    named += [(f"units.{name}", name) for name in mapping.units if name not in roles.values()]
     return [
         (key, f"{source.path} has no column {name!r}: {did_you_mean(name, source.columns)}")
         for key, name in named
@@ -85,11 +98,19 @@ def assumptions(logs: Sequence[RecognisedLog]) -> list[Guess]:
     return list(found.values())
 
 
-def read_map(path: Path) -> dict[str, Any]:
+def read_map(path: Path) -> ImportMap:
     """The map of columns that an earlier import wrote. Raises DocumentError."""
-    found = yaml.safe_load(read_text(path)) or {}
-    if not isinstance(found, dict) or set(found) - MAP_KEYS:
+    data, lines = parse(read_text(path), str(path))
+    if not isinstance(data, dict):
         raise DocumentError(f"{path}: not a map of columns: give the {MAP_NAME} of an import")
+    found = check(data, ImportMap, str(path), lines)
+    signals = [key for key in found.roles if key not in RECOGNISED]
+    problems = [(f"roles.{key}", f"no signal {key!r}: {did_you_mean(key, RECOGNISED)}") for key in signals]
+    units = {column: unit for column, unit in found.units.items() if unit_of(unit) is None}
+    problems += [
+        (f"units.{name}", f"unknown unit {unit!r}: {did_you_mean(unit, UNITS)}") for name, unit in units.items()
+    ]
+    refuse(path, problems)
     return found
 
 
@@ -127,7 +148,13 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
     write_facts(out / FACTS_NAME, facts)
     _draw_columns(out / COLUMNS_NAME, logs[0])
     (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared), sort_keys=False), encoding="utf-8")
-    return _checked(paths, facts, out)
+    done = _checked(paths, facts, out)
+    if found.torque_unit in ("Nm", "N") and facts.torque_constant_nm_per_a != 1.0:
+        done.warnings.append(
+            f"the input is in {found.torque_unit} already and is multiplied by the torque constant of "
+            f"{facts.torque_constant_nm_per_a:g} as well: leave the constant out, or give the input's unit"
+        )
+    return done
 
 
 def _draw_columns(path: Path, one: RecognisedLog) -> None:

@@ -12,6 +12,7 @@ from fffo_drive.commissioning.judge import CHECKS, graded, judged, not_done, wit
 from fffo_drive.commissioning.record import (
     BoundsRecord,
     CommissioningRecord,
+    DeclaredFacts,
     DriveRecord,
     content_hash,
     overall,
@@ -149,6 +150,11 @@ def test_another_drive_is_refused_and_left(tmp_path, identity):
         ("counts_per_rev: 32768 ", "counts_per_rev: 65536 ", "counts_per_rev was 32768.0, is 65536.0"),
         ("velocity_units_per_rps: 32768", "velocity_units_per_rps: 60", "velocity_units_per_rps was 32768.0, is 60.0"),
         ("rated_torque_nm: 1.2284", "rated_torque_nm: 1.3\n  inverted: true", "inverted was False, is True"),
+        (
+            "rated_torque_nm: 1.2284",
+            "rated_torque_nm: 1.2284\n  rated_torque_unit: uNm",
+            "rated_torque_unit_nm was 0.001, is 1e-06",
+        ),
     ],
 )
 def test_changed_facts_need_a_new_commissioning(tmp_path, identity, old, new, said):
@@ -157,6 +163,19 @@ def test_changed_facts_need_a_new_commissioning(tmp_path, identity, old, new, sa
         granted(axis_file(tmp_path, old, new))
     assert said in str(caught.value)
     assert "commission it again" in str(caught.value)
+
+
+def test_the_usual_units_of_the_name_plate_leave_the_hash_of_older_records():
+    """SHA-256 of the facts as they were written before the units were among them."""
+    facts = {"drive_kind": "canopen", "torque_constant_nm_per_a": 0.1}
+    written = {
+        "counts_per_rev": None, "drive_kind": "canopen", "inverted": False, "rated_current_a": None,
+        "rated_torque_nm": None, "torque_constant_nm_per_a": 0.1, "velocity_units_per_rps": None,
+    }  # fmt: skip
+    assert DeclaredFacts(**facts).model_dump(mode="json") == written
+    counting = DeclaredFacts(**facts, rated_torque_unit_nm=1e-6)
+    assert counting.model_dump(mode="json") == written | {"rated_torque_unit_nm": 1e-6}
+    assert counting.digest != DeclaredFacts(**facts).digest
 
 
 def test_changed_gains_do_not(tmp_path, identity):

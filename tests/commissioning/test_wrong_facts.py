@@ -221,6 +221,19 @@ def test_what_the_drive_says_about_itself_counts(objects, fails, warns):
     assert warned(checks) == warns
 
 
+@pytest.mark.parametrize("unit_nm", [1e-3, 1e-6])
+def test_the_torque_constant_of_the_name_plate_is_in_the_unit_of_the_drive(unit_nm):
+    """0x6076 in mNm, and in uNm as that of an EPOS4; 0x6075 in mA."""
+    rated_torque_nm, rated_current_a = 1.2284, 8.3
+    facts = DeclaredFacts(
+        drive_kind="canopen", torque_constant_nm_per_a=rated_torque_nm / rated_current_a, rated_torque_unit_nm=unit_nm
+    )
+    objects = {(0x6076, 0): round(rated_torque_nm / unit_nm), (0x6075, 0): round(rated_current_a / 1e-3)}
+    check = checks_of(TalkingDrive(objects), facts=facts)["current_scale"]
+    assert check.numbers["name_plate_torque_constant_nm_per_a"] == pytest.approx(0.148, rel=1e-3)
+    assert check.verdict == "ok"
+
+
 def test_encoder_objects_decide_which_word_is_wrong():
     facts = DeclaredFacts(
         drive_kind="canopen", counts_per_rev=32768, velocity_units_per_rps=32768, torque_constant_nm_per_a=0.148

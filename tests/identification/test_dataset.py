@@ -99,6 +99,15 @@ def test_nan_and_a_wrong_rate_are_refused(tmp_path, columns):
         load_record(write_csv(tmp_path / "b.csv.gz", columns), FACTS.model_copy(update={"sample_rate_hz": 1000.0}))
 
 
+def test_the_declared_rate_is_the_time_of_a_table_without_one(tmp_path, columns):
+    path = write_csv(tmp_path / "a.csv.gz", {name: v for name, v in columns.items() if name != "time_s"})
+    record = load_record(path, FACTS)
+    assert record.period_s == pytest.approx(PERIOD_S)
+    np.testing.assert_allclose(record.position_rev, columns["position_rev"], atol=1e-6)
+    with pytest.raises(RecordingError, match="nothing gives time_s"):
+        load_record(path, FACTS.model_copy(update={"sample_rate_hz": None}))
+
+
 def test_a_gap_splits_a_record(tmp_path, columns):
     keep = np.r_[0:3000, 3400:8000]
     record = load_record(write_csv(tmp_path / "a.csv.gz", {n: v[keep] for n, v in columns.items()}), FACTS)

@@ -197,6 +197,8 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
         (["--unit", "Actual position=turnz"], "unit 'turnz'"),
         (["--unit", "Actual position"], "COLUMN=UNIT"),
         (["--rate", "-1"], "--rate -1"),
+        (["--rate", "nan"], "--rate nan"),
+        (["--counts-per-turn", "-4096"], "--counts-per-turn -4096: give a positive number"),
         (["--gear-ratio", "-3"], "gear_ratio"),
         (["--map", str(log)], "not a map of columns"),
         (["--map", wrong], f"wrong.yaml:4: roles.position_rev: {log} has no column 'Actual positon': did you mean"),
@@ -206,6 +208,48 @@ def test_what_the_user_says_stands_before_every_guess(tmp_path, log, capsys):
         assert text in capsys.readouterr().err
     assert run_import(log, "--out", tmp_path / "out") == EXIT_BAD_INPUT
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("linear: false\nrate_hz: 0\n", "map.yaml:2: rate_hz: a number above 0 is needed (got 0)"),
+        ("counts_per_turn: -4096\n", "map.yaml:1: counts_per_turn: a number above 0 is needed (got -4096)"),
+        ("roles: [a, b]\n", "map.yaml:1: roles: a mapping of keys to values is needed"),
+        ("units:\n  Time: 3\n", "map.yaml:2: units.Time: text is needed"),
+        ("units:\n  Time: sss\n", "map.yaml:2: units.Time: unknown unit 'sss'"),
+        ("roles:\n  positon_rev: x\n", "map.yaml:2: roles.positon_rev: no signal 'positon_rev': did you mean"),
+        ("role: {}\n", "map.yaml:1: role: unknown key; did you mean 'roles'?"),
+        ("roles: {time_s: [\n", "map.yaml:2: not valid YAML"),
+    ],
+)
+def test_a_map_that_cannot_be_used_is_refused_by_its_file_and_key(tmp_path, log, capsys, content, said):
+    (tmp_path / "map.yaml").write_text(content)
+    assert run_import(log, "--out", tmp_path / "out", "--map", tmp_path / "map.yaml") == EXIT_BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("unit", ["permille", "%", "Nm"])
+def test_the_map_that_an_import_writes_is_one_that_it_reads(tmp_path, unit):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace("Actual current [A]", f"Target torque [{unit}]"))
+    assert run_import(path, "--out", tmp_path / "out") == 0
+    assert yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())["units"]["Target torque"] == unit
+    assert run_import(path, "--map", tmp_path / "out" / "map.yaml", "--out", tmp_path / "again") == 0
+    for name in ("map.yaml", "facts.yaml"):
+        assert (tmp_path / "again" / name).read_text() == (tmp_path / "out" / name).read_text()
+
+
+@pytest.mark.parametrize(
+    ("unit", "constant", "warned"), [("Nm", "0.025", True), ("Nm", "1", False), ("A", "0.025", False)]
+)
+def test_a_torque_constant_beside_a_torque_is_warned_of(tmp_path, capsys, unit, constant, warned):
+    path = tmp_path / "log.csv"
+    path.write_text(as_text(truth(), Dialect()).replace("Actual current [A]", f"Actual torque [{unit}]"))
+    assert run_import(path, "--out", tmp_path / "out", "--torque-constant", constant) == 0
+    said = "warning: the input is in Nm already and is multiplied by the torque constant of 0.025 as well"
+    assert (said in capsys.readouterr().err) == warned
 
 
 @pytest.mark.parametrize(
@@ -326,6 +370,38 @@ def test_json_messages_of_two_topics_come_on_one_time(tmp_path):
     source = read_source(path)
     np.testing.assert_allclose(source.columns["drive.current_a"][::2], log.current_a[::2])
     assert any("interpolated" in remark for remark in source.remarks)
+
+
+def test_topics_are_not_continued_and_angles_go_through_their_wraps(tmp_path):
+    """A slow topic that begins late and ends early, once with the current, once with a wrapped angle."""
+    from mcap.writer import Writer
+
+    log = truth()
+    angle = np.mod(3.0 * 360.0 * log.position_rev, 360.0)
+    early, late = 200, 1000
+    for slow in ("current_cmd_a", "angle_deg"):
+        path = tmp_path / f"{slow}.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            schema = writer.register_schema("x", "jsonschema", b"{}")
+            channels = {
+                name: writer.register_channel(f"/{name}", "json", schema) for name in ("angle_deg", "current_cmd_a")
+            }
+            for k, t in enumerate(log.time_s):
+                stamp = round(t * 1e9)
+                for name, value in (("angle_deg", angle[k]), ("current_cmd_a", log.current_a[k])):
+                    if name != slow or (k % 5 == 0 and early <= k <= late):
+                        writer.add_message(channels[name], stamp, json.dumps({name: value}).encode(), stamp)
+            writer.finish()
+        source = read_source(path)
+        columns = converted(source, recognise(source)).columns
+        part = slice(early, late + 1)
+        np.testing.assert_allclose(columns["time_s"], log.time_s[part] - log.time_s[early], atol=1e-9)
+        np.testing.assert_allclose(columns["current_command_a"][::5], log.current_a[part][::5], atol=1e-9)
+        moved = 3.0 * (log.position_rev[part] - log.position_rev[early])
+        # between samples 10 ms apart a straight line is off by less than a T^2 / 8 = 3e-3 rev
+        np.testing.assert_allclose(columns["position_rev"] - columns["position_rev"][0], moved, atol=3e-3)
 
 
 # The published logs as they lie
