@@ -28,7 +28,7 @@ from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
 from .daemon.serving import torque_on
 from .documents import DocumentError
-from .evaluation.metrics import ErrorMetrics, Rows, run_metrics, true_metrics
+from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary, summarise
 from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
@@ -118,8 +118,8 @@ class MeasuredRun:
             raise ValueError(f"{self.name}: no profile of this project's loop ran in it")
         period_s = float(np.median(np.diff(self.time_s)))
         known = bool(np.isfinite(self.rows["true_velocity_rps"]).all())
-        measure = true_metrics if known else run_metrics
-        return measure(self.rows, period_s, self.profile_samples)
+        column = "true_velocity_rps" if known else "velocity_rps"
+        return run_metrics(self.rows, period_s, self.profile_samples, column)
 
     def to_pandas(self) -> pandas.DataFrame:
         """A column a signal, units in the names, indexed by time_s. Needs pandas: pip install pandas."""

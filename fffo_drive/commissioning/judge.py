@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from ..documents import finite
 from .record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, Verdict
 
 # name -> what is checked; the order is that of the report
@@ -67,10 +68,10 @@ def graded(
         name=name,
         what=CHECKS[name],
         verdict=verdict,
-        measured=_finite(measured),
-        expected=_finite(expected),
-        lowest=_finite(limits.lowest),
-        highest=_finite(limits.highest),
+        measured=finite(measured),
+        expected=finite(expected),
+        lowest=finite(limits.lowest),
+        highest=finite(limits.highest),
         unit=unit,
         text=text,
         remedy="" if verdict == OK else remedy,
@@ -91,7 +92,3 @@ def judged(
 def not_done(name: str, text: str) -> CheckRecord:
     """A check that an earlier one has made impossible."""
     return CheckRecord(name=name, what=CHECKS[name], verdict=NOT_DONE, text=text)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -134,7 +134,7 @@ def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
     return Gate(name, distance > needed, f"{text}, {needed:.1f} needed")
 
 
-def bounds_gate(model: ModelFile, effect: EffectModel) -> Gate:
+def bounds_gate(effect: EffectModel) -> Gate:
     """Every parameter lies within its law's range."""
     errors = effect_errors([effect])
     text = "; ".join(f"{key.removeprefix('effects[0].').removeprefix('parameters.')}: {why}" for key, why in errors)
@@ -208,7 +208,7 @@ def gates(
     found += [rest] if rest is not None else []
     for service in services(axis, model):
         if service.reason is None:
-            found += [interval_gate(service.effect, linear), bounds_gate(model, service.effect)]
+            found += [interval_gate(service.effect, linear), bounds_gate(service.effect)]
     found += [compensation_gate(axis, model), stability_gate(axis, model)]
     return [gate if gate.name == DISABLED else gate._replace(text=text_on(gate.text, linear)) for gate in found]
 

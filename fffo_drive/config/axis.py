@@ -27,7 +27,7 @@ from ..control.reference import (
 )
 from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
 from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
-from ..documents import StrictRecord, check, parse, read_text, refuse
+from ..documents import StrictRecord, check, did_you_mean, parse, read_text, refuse
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -36,7 +36,6 @@ from ..identification.excitation import (
 )
 from ..model.friction import FrictionConfig, least_sliding_nm
 from ..model.parameters import ModelFile, content_hash, model_text, read_model
-from ..recording.errors import did_you_mean
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
 from ..runtime.records import ModelNote

@@ -165,7 +165,7 @@ def _welcome_missing(dictionary: Any) -> Iterator[str]:
 
 def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
     """What keeps a PDO from carrying what we want: objects, a mapping that is fixed, a type that it lacks."""
-    problems = list(missing_in_pdo(dictionary, index, pdo))
+    problems = list(missing_in_pdo(dictionary, pdo))
     yield from problems
     if index not in dictionary:
         return

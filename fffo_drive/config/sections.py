@@ -518,7 +518,9 @@ class DaemonSection(StrictRecord):
             "(extra `fleet`)"
         ),
     ] = None
-    record_required: Annotated[bool, Field(description="true: while its recording fails, the axis is stopped and not enabled")] = False
+    record_required: Annotated[
+        bool, Field(description="true: while its recording fails, the axis is stopped and not enabled")
+    ] = False
     profiles: Annotated[
         dict[str, ProfileSection], Field(description="by name, for `ctl start`; `default` is the file's own profile")
     ] = Field(default_factory=dict)

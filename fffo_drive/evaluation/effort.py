@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .metrics import Floats
+from .metrics import Floats, rms
 
 HIGH_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): friction's steps at reversals, and noise
 NOISE_FROM_HZ = 200.0  # nearly all noise: with 1/K = 1/778 rev, friction takes some 5 ms to reverse
@@ -28,7 +28,7 @@ def control_effort(command_a: Floats, period_s: float) -> ControlEffort:
     """Effort of a command (n,). NaN if the rate is too low or the record too short."""
     high_a, noise_a = (_rms_above(command_a, period_s, from_hz) for from_hz in (HIGH_FROM_HZ, NOISE_FROM_HZ))
     variation = float(np.abs(np.diff(command_a)).mean() / period_s) if command_a.size > 1 else 0.0
-    return ControlEffort(_rms(command_a), high_a, noise_a, variation)
+    return ControlEffort(rms(command_a), high_a, noise_a, variation)
 
 
 def _rms_above(command_a: Floats, period_s: float, from_hz: float) -> float:
@@ -37,7 +37,7 @@ def _rms_above(command_a: Floats, period_s: float, from_hz: float) -> float:
         return float("nan")
     from scipy.signal import sosfilt  # loads slowly
 
-    return _rms(sosfilt(_high_pass(period_s, from_hz), command_a)[edge:-edge])
+    return rms(sosfilt(_high_pass(period_s, from_hz), command_a)[edge:-edge])
 
 
 @functools.cache
@@ -45,7 +45,3 @@ def _high_pass(period_s: float, from_hz: float) -> Any:
     from scipy.signal import butter
 
     return butter(FILTER_ORDER, from_hz, "highpass", fs=1.0 / period_s, output="sos")
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values * values)))

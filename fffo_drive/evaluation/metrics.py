@@ -22,10 +22,13 @@ PAPER_TABLE_2 = {
 class ErrorMetrics(NamedTuple):
     """ISE is the integral of the squared error: the paper's e'e times the period, so that rates compare."""
 
-    ise: float  # rps^2 s
-    mae: float  # rps
-    max: float  # rps
-    std: float  # rps
+    ise: float
+    mae: float
+    max: float
+    std: float
+
+
+METRIC_UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
 
 
 class TickStatistics(NamedTuple):
@@ -54,6 +57,12 @@ class TickStatistics(NamedTuple):
     lateness_us_max: float
     turnaround_us_p50: float
 
+    @property
+    def wire_errors(self) -> int:
+        """Bad, dropped and error frames, losses of the bus and frames that could not be sent."""
+        dropped = max(self.dropped_frames, 0)  # -1: unknown
+        return self.bad_frames + dropped + self.error_frames + self.bus_losses + self.send_errors
+
 
 def error_metrics(error_rps: Floats, period_s: float) -> ErrorMetrics:
     """Metrics of an error record (n,). Raises ValueError for an empty or non-finite one."""
@@ -69,6 +78,11 @@ def error_metrics(error_rps: Floats, period_s: float) -> ErrorMetrics:
     )
 
 
+def rms(values: Floats) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values * values)))
+
+
 def profile_rows(rows: Rows, samples: int | None = None) -> Rows:
     """The rows in which the profile ran; `samples` cuts off the standstill after it."""
     index = rows["profile_sample"]
@@ -78,16 +92,13 @@ def profile_rows(rows: Rows, samples: int | None = None) -> Rows:
     return rows[inside]
 
 
-def run_metrics(rows: Rows, period_s: float, samples: int | None = None) -> ErrorMetrics:
-    """Metrics against the measured velocity, over the rows in which the profile ran."""
-    inside = profile_rows(rows, samples)
-    return error_metrics(inside["reference_rps"] - inside["velocity_rps"], period_s)
+def run_metrics(rows: Rows, period_s: float, samples: int | None = None, column: str = "velocity_rps") -> ErrorMetrics:
+    """Metrics against a velocity, over the rows in which the profile ran.
 
-
-def true_metrics(rows: Rows, period_s: float, samples: int | None = None) -> ErrorMetrics:
-    """Metrics against the shaft's velocity, known only for a simulated drive in process."""
+    `column`: true_velocity_rps is the shaft's, known only for a simulated drive in process.
+    """
     inside = profile_rows(rows, samples)
-    return error_metrics(inside["reference_rps"] - inside["true_velocity_rps"], period_s)
+    return error_metrics(inside["reference_rps"] - inside[column], period_s)
 
 
 def tick_statistics(rows: Rows, exchange: ExchangeCounts | None = None) -> TickStatistics:

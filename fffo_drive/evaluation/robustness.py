@@ -15,7 +15,7 @@ from ..control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT, TRIP_NONE
 from ..control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from ..drive.simulated.parameters import noiseless
 from .campaign import Candidate, Case, simulate
-from .metrics import Floats, Rows
+from .metrics import Floats, Rows, rms
 
 RAMP_S = 0.02
 PLATEAU_S = 4.0
@@ -90,7 +90,7 @@ def probe(case: Case, candidate: Candidate) -> Probe:
     first, second = _velocities(rows, plain), _velocities(others, kicked)
     limited_share = float(np.mean(_inside(rows, plain)["limits"] & (LIMIT_CONTROLLER | LIMIT_CURRENT) != 0))
     at_rest = slice(-round(HUNTING_S / plain.period_s), None)
-    hunting_rps = _rms(first[at_rest])
+    hunting_rps = rms(first[at_rest])
     *in_motion, left_at_rest_rps = _left_of_kicks(second - first, plain.period_s)
     remaining = max(share for share, _ in in_motion)
     verdict = STABLE
@@ -117,9 +117,9 @@ def _left_of_kicks(difference_rps: Floats, period_s: float) -> list[tuple[float,
     """What is left of each kick after `FORGOTTEN_S`: as a share of it (0 below REMAINING_RPS), and in rps."""
     found = []
     for start in kick_samples(period_s):
-        made_rps = _rms(difference_rps[start : start + round(0.06 / period_s)])
+        made_rps = rms(difference_rps[start : start + round(0.06 / period_s)])
         window = slice(start + round(FORGOTTEN_S[0] / period_s), start + round(FORGOTTEN_S[1] / period_s))
-        left_rps = _rms(difference_rps[window])
+        left_rps = rms(difference_rps[window])
         found.append((left_rps / made_rps if left_rps > REMAINING_RPS and made_rps > 0.0 else 0.0, left_rps))
     return found
 
@@ -139,7 +139,3 @@ def excursions(velocity_rps: Floats, profile: Profile) -> list[float]:
 def beyond_rest_rps(velocity_rps: Floats, profile: Profile) -> float:
     """How fast the axis turns back after the stop at the end: over-compensated friction would push it."""
     return excursions(velocity_rps, profile)[-1] * abs(SPEEDS_RPS[-1])
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values * values)))

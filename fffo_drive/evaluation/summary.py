@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..documents import finite
 from .campaign import Evaluation
 from .compare import MetricComparison, compare_metric
 from .measures import Measures, VelocityMeasures
@@ -37,19 +37,14 @@ def figures_of(measures: Measures) -> dict[str, float]:
 
 
 def _of_velocity(kind: str, measures: VelocityMeasures) -> Iterator[tuple[str, float]]:
-    for key, value in measures.error._asdict().items():
-        yield f"{kind}.{key}", value
-    for number, band in enumerate(measures.bands):
-        for key, value in band._asdict().items():
-            yield f"{kind}.band{number}.{key}", value
-    for key, value in measures.reversals._asdict().items():
-        yield f"{kind}.reversals.{key}", value
-    for key, value in measures.settled._asdict().items():
-        yield f"{kind}.settled.{key}", value
-    for key, value in measures.lag._asdict().items():
-        yield f"{kind}.lag.{key}", float(value)
-    for key, value in measures.crossing._asdict().items():
-        yield f"{kind}.crossing.{key}", float(value)
+    parts: dict[str, Any] = {
+        kind: measures.error,
+        **{f"{kind}.band{number}": band for number, band in enumerate(measures.bands)},
+        **{f"{kind}.{name}": getattr(measures, name) for name in ("reversals", "settled", "lag", "crossing")},
+    }
+    for name, part in parts.items():
+        for key, value in part._asdict().items():
+            yield f"{name}.{key}", float(value)
 
 
 def summarise(evaluations: Iterable[Evaluation], percent_of: str | None = None) -> Summary:
@@ -102,10 +97,10 @@ def as_object(summary: Summary) -> dict[str, Any]:
                 "percent_of": comparison.base,
                 **{
                     controller: {
-                        "value": _known(comparison.absolute[controller].value),
-                        "interval": [_known(end) for end in comparison.absolute[controller][1:]],
-                        "percent": _known(comparison.percent[controller].value),
-                        "percent_interval": [_known(end) for end in comparison.percent[controller][1:]],
+                        "value": finite(comparison.absolute[controller].value),
+                        "interval": [finite(end) for end in comparison.absolute[controller][1:]],
+                        "percent": finite(comparison.percent[controller].value),
+                        "percent_interval": [finite(end) for end in comparison.percent[controller][1:]],
                     }
                     for controller in summary.controllers
                 },
@@ -113,7 +108,3 @@ def as_object(summary: Summary) -> dict[str, Any]:
             for name, comparison in summary.figures.items()
         },
     }
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -198,11 +198,3 @@ def gap_of(sums: GapSums, units: str) -> Gap:
     shift = 0.5 * (after - before) / curvature
     gap = float(gap_grid(units)[0]) * math.exp(step * (place + shift))
     return Gap(gap, step * math.sqrt(2.0 * variance / curvature), share)
-
-
-def gaps_unpacked(upper: Floats) -> Floats:
-    """(k, k) of the upper triangle (k (k + 1) / 2,), row by row."""
-    full = np.zeros((GAP_REV.size, GAP_REV.size))
-    full[GAP_UPPER] = upper
-    full.T[GAP_UPPER] = upper
-    return full

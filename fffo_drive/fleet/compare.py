@@ -30,7 +30,6 @@ from ..report.document import (
     provenance,
 )
 from ..report.figures import Dash, Figure, PlotAxis, Series
-from ..report.page import ReportPaths, refuse_other_report, write_report
 from ..units import NORMAL_95
 from .adding import Given, entry_of
 from .difference import CONFIDENCE, LARGEST_P, Difference, difference
@@ -124,13 +123,6 @@ def compared(first: Side, second: Side, store: FleetStore | None) -> Difference:
             f"{model} {drive}": own for model in sorted(models) for drive, own in histories(store, model).items()
         }  # fmt: skip
     return difference(first.history, second.history, fleet)
-
-
-def write_comparison(first: Side, second: Side, found: Difference, directory: Path) -> ReportPaths:
-    """Write report.html and report.json. Raises DocumentError where the directory holds a report of another kind."""
-    refuse_other_report(directory, KIND)
-    directory.mkdir(parents=True, exist_ok=True)
-    return write_report(comparison_report(first, second, found), directory)
 
 
 def comparison_report(first: Side, second: Side, found: Difference) -> Report:

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 from .. import formats
 from ..diagnosis.results import Diagnosis, Finding
-from ..documents import DocumentError, counted
+from ..documents import DocumentError, counted, did_you_mean
 from ..identification.dataset import DataError, load_records
 from ..identification.facts import DriveFacts
-from ..recording.errors import RecordingError, did_you_mean
+from ..recording.errors import RecordingError
 from ..report.diagnose import base_rows
 from ..report.diagnose_figures import words_of
 from ..report.document import Cell, Heading, Line, Report, Row, Table, Verdict, number, of_linear_axis, provenance
-from ..report.page import ReportPaths, refuse_other_report, write_report
+from ..report.page import refuse_other_report
 from ..workflows.diagnose import Diagnosed, diagnose, require_place, write_diagnosis
 from ..workflows.progress import Bar, no_bar
 from ..workflows.recorded_facts import facts_for
@@ -151,13 +151,6 @@ def _diagnosed(
 
 
 # ---- the page
-
-
-def write_fleet_diagnosis(found: FleetDiagnosis, store: str, directory: Path) -> ReportPaths:
-    """Write report.html and report.json. Raises DocumentError where the directory holds a report of another kind."""
-    refuse_other_report(directory, KIND)
-    directory.mkdir(parents=True, exist_ok=True)
-    return write_report(fleet_diagnosis_report(found, store, directory), directory)
 
 
 def fleet_diagnosis_report(found: FleetDiagnosis, store: str, directory: Path) -> Report:

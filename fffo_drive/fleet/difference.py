@@ -25,6 +25,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from ..documents import counted
+from .change import fit_change
 from .channels import (
     COLUMNS,
     WITHOUT_TEMPERATURE,
@@ -34,8 +35,8 @@ from .channels import (
     channels_of,
     stacked,
 )
-from .detector import CLIP, ChannelPrior
-from .history import RunHistory
+from .detector import ChannelPrior
+from .history import RunHistory, joined
 from .learning import learned
 from .matrices import inverse_total
 
@@ -103,14 +104,14 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
     if first.names != second.names:
         raise ValueError(f"columns {', '.join(second.names)} of the second set are not those of the first")
     degc = (_mean(first.temperature_degc), _mean(second.temperature_degc))
-    joined = _joined(first, second)
-    known = stacked(fleet if fleet is not None else {"first": first, "second": second})
+    sets = joined({"first": first, "second": second})
+    known = stacked(fleet if fleet is not None else sets)
     prior, own = learned(known)
-    stack = stacked({BOTH: joined}, known.orders)
+    stack = stacked({BOTH: sets.whole}, known.orders)
     group = np.concatenate([np.zeros(counts[0]), np.ones(counts[1])])
     channels = channels_of(stack, prior)
     columns, joint_p = _columns_compared(stack, prior, own, group)
-    found = columns + [_compared(stack, channels, own, c, group) for c in range(len(columns), len(channels.laws))]
+    found = columns + [_compared(channels, own, c, group) for c in range(len(columns), len(channels.laws))]
     kept = [(c, one) for c, one in enumerate(found) if one is not None]
     corrected = _holm([one.p for _, one in kept])
     share = 1.0 - (1.0 - CONFIDENCE) / max(len(kept), 1)
@@ -124,18 +125,6 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
             "that moves it together with Coulomb friction cannot be distinguished from temperature"
         )
     return Difference(tuple(laws), joint_p, counts, degc, tuple(remarks))
-
-
-def _joined(first: RunHistory, second: RunHistory) -> RunHistory:
-    return RunHistory(
-        np.concatenate([first.time_s, second.time_s]), np.concatenate([first.theta, second.theta]),
-        np.concatenate([first.information, second.information]), first.names,
-        np.concatenate([first.rms_nm, second.rms_nm]),
-        np.concatenate([first.order_amplitude_nm, second.order_amplitude_nm]), first.orders,
-        np.concatenate([first.speed_rms_rps, second.speed_rms_rps]),
-        np.concatenate([first.temperature_degc, second.temperature_degc]), np.concatenate([first.run, second.run]),
-        np.concatenate([first.gap_rev, second.gap_rev]), np.concatenate([first.gap_log_sd, second.gap_log_sd]),
-    )  # fmt: skip
 
 
 class _MeanDifference(NamedTuple):
@@ -220,31 +209,18 @@ def _mean_difference(stack: Stack, fleet: FleetPrior, prior: ChannelPrior, group
     return _MeanDifference(means[1] - means[0], np.asarray(np.linalg.inv(covariance), dtype=np.float64), dof)
 
 
-def _compared(stack: Stack, channels: Channels, prior: ChannelPrior, c: int, group: Floats) -> _Change | None:
+def _compared(channels: Channels, prior: ChannelPrior, c: int, group: Floats) -> _Change | None:
     """Difference of one channel; None where a set has no value."""
-    y = channels.y[:, c]
-    known = np.flatnonzero(np.isfinite(y))
+    known = np.flatnonzero(np.isfinite(channels.y[:, c]))
     if np.ptp(group[known]) == 0.0 if known.size else True:
         return None
-    white = 1.0 / np.sqrt(channels.variance[known, c] * prior.variance[c])
-    design = np.column_stack([np.ones(known.size), channels.covariates[known], group[known]]) * white[:, None]
-    slope_sd = np.sqrt(np.diag(prior.covariance[c])[1:] * prior.variance[c])
-    ridge = np.diag([0.0, *(slope_sd**-2.0), 0.0])
-    target = y[known] * white
-    weight = np.ones(known.size)
-    for _ in range(4):
-        own = design * weight[:, None]
-        normal = own.T @ design + ridge
-        solution = np.linalg.solve(normal, own.T @ target + ridge @ np.concatenate([prior.mean[c], [0.0]]))
-        residual = target - design @ solution
-        weight = np.minimum(1.0, CLIP / np.maximum(np.abs(residual), 1e-300))
+    found = fit_change(channels, prior, c, known, group[known])
     # the fleet's scatter and this drive's own, each by its degrees of freedom
-    left = float(np.sum(np.clip(residual, -CLIP, CLIP) ** 2))
     dof = 2.0 * prior.shape[c] + max(known.size - 2.0, 0.0)
-    spread = math.sqrt((2.0 * prior.shape[c] + left) / dof)
+    spread = math.sqrt((2.0 * prior.shape[c] + found.misfit) / dof)
     alike = math.sqrt((1.0 + prior.memory[c]) / (1.0 - prior.memory[c])) if known.size > 2 else 1.0
-    sd = math.sqrt(float(np.linalg.inv(normal)[3, 3])) * spread * alike
-    return _Change(float(solution[3]), sd, float(2.0 * stats.t.sf(abs(solution[3]) / sd, dof)), dof)
+    sd = found.sd * spread * alike
+    return _Change(found.size, sd, float(2.0 * stats.t.sf(abs(found.size) / sd, dof)), dof)
 
 
 def _holm(values: list[float]) -> list[float]:

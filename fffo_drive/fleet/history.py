@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..documents import DocumentError
-from .backlash import Gap, GapSums, gap_of, gaps_unpacked
+from .backlash import GAP_REV, Gap, GapSums, gap_of
 from .regress import PARAMETERS, Balance, Estimates, solve_each, unpacked
 from .schema import ORDERS
 from .store import FleetStore
@@ -233,7 +233,7 @@ def estimates_of(table: pa.Table) -> Estimates:
 
 def gap_of_rows(table: pa.Table) -> Gap:
     """The backlash of all records of a table together."""
-    normal = gaps_unpacked(np.nansum(matrix_of(table, "gap_normal"), axis=0))
+    normal = unpacked(np.nansum(matrix_of(table, "gap_normal"), axis=0), GAP_REV.size)
     moment = np.nansum(matrix_of(table, "gap_moment"), axis=0)
     scalars = (float(np.nansum(column_of(table, f"gap_{name}"))) for name in SCALARS)
     return gap_of(GapSums(normal, moment, *scalars), str(table.column("units")[0].as_py()))

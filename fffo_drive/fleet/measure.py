@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__
+from ..evaluation.metrics import rms
 from ..identification.dataset import DataError, Record, log_of, record_of_log
 from ..identification.facts import DriveFacts
 from ..identification.kinematics import DEFAULT_CUTOFF_HZ
@@ -162,16 +163,12 @@ def _covered(stretches: list[RegressionStretch]) -> dict[str, Any]:
     angle = np.mod(position_rev, 1.0)
     return {
         "speed_share": np.histogram(np.abs(velocity_rps), SPEED_EDGES_RPS)[0] / count,
-        "speed_rms_rps": _rms(velocity_rps),
-        "acceleration_rms_rps2": _rms(acceleration_rps2),
+        "speed_rms_rps": rms(velocity_rps),
+        "acceleration_rms_rps2": rms(acceleration_rps2),
         "load_quantile_nm": np.quantile(load_nm, LOAD_QUANTILES),
         "angle_share": np.histogram(angle, ANGLE_BINS, (0.0, 1.0))[0] / count,
         "travel_rev": float(np.ptp(position_rev)),
     }
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _temperature(log: Run | LogTable) -> dict[str, Any]:
@@ -201,5 +198,5 @@ def _ticks(log: Run | LogTable) -> dict[str, Any]:
         "skipped": int(np.sum(np.diff(tick) - 1)) if tick.size else 0,
         "without_feedback": int(np.count_nonzero(log.column("velocity_age"))),
         "trip": int(log.column("trip")[-1]) if tick.size else 0,
-        "speed_error_rms_rps": _rms(log.column("error_rps")[on].astype(np.float64)) if on.any() else None,
+        "speed_error_rms_rps": rms(log.column("error_rps")[on].astype(np.float64)) if on.any() else None,
     }

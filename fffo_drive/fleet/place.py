@@ -18,7 +18,6 @@ from ..documents import DocumentError
 
 UNFINISHED = ".tmp"  # end of the name of a file that is being written
 FORGOTTEN_S = 86_400.0  # an unfinished file that is older belongs to nobody
-BLOCK_BYTES = 1 << 20
 
 
 def is_url(place: str) -> bool:
@@ -124,8 +123,5 @@ def local_copy(place: str) -> Iterator[Path]:
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file, hex."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -188,10 +188,10 @@ def packed(normal: Floats) -> Floats:
     return np.asarray(normal[UPPER])
 
 
-def unpacked(upper: Floats) -> Floats:
-    """(..., p, p) of upper triangles (..., p (p + 1) / 2)."""
-    size = len(PARAMETERS)
+def unpacked(upper: Floats, size: int = len(PARAMETERS)) -> Floats:
+    """(..., size, size) of upper triangles (..., size (size + 1) / 2)."""
     full = np.zeros((*upper.shape[:-1], size, size))
-    full[..., UPPER[0], UPPER[1]] = upper
-    full[..., UPPER[1], UPPER[0]] = upper
+    rows, columns = np.triu_indices(size)
+    full[..., rows, columns] = upper
+    full[..., columns, rows] = upper
     return full

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ from ..report.document import (
     significant,
 )
 from ..report.figures import Figure, PlotAxis, Series
-from ..report.page import ReportPaths, refuse_other_report, write_report
 from ..units import NORMAL_95
 from .history import RunHistory
 from .regress import PARAMETERS
@@ -64,13 +62,6 @@ def shown_drives(spread: ModelSpread) -> list[str]:
     outside = list(dict.fromkeys(one.drive for one in spread.outsiders))
     most = [spread.drives[k] for k in np.argsort(-spread.runs, kind="stable")[:SHOWN_DRIVES]]
     return list(dict.fromkeys([*outside, *most]))[:SHOWN_DRIVES]
-
-
-def write_fleet_report(source: FleetSource, directory: Path) -> ReportPaths:
-    """Write report.html and report.json. Raises DocumentError where the directory holds a report of another kind."""
-    refuse_other_report(directory, KIND)
-    directory.mkdir(parents=True, exist_ok=True)
-    return write_report(fleet_report(source), directory)
 
 
 def fleet_report(source: FleetSource) -> Report:

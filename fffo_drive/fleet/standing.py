@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..documents import DocumentError, counted, parse, read_text
+from ..documents import DocumentError, counted, did_you_mean, finite, parse, read_text
 from ..identification.dataset import Record, log_of, record_of_log
 from ..identification.facts import DriveFacts
-from ..identification.population import AgainstPopulation, PopulationRow, finite
-from ..recording.errors import did_you_mean
+from ..identification.population import AgainstPopulation, PopulationRow
 from .adding import Given, entry_of
 from .history import histories
 from .measure import balance_of_record, temperature_of

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +16,14 @@ import numpy.typing as npt
 from ..documents import counted
 from ..identification.threads import in_threads
 from ..units import NORMAL_95
+from .change import ChangeFit, fit_change
 from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
-from .detector import BURN_IN, CLIP, YEAR_S, ChannelPrior, Detections, detect
+from .detector import BURN_IN, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory, model_records
 from .learning import evenly, learned
 from .matrices import medians_of_known
 from .store import FleetStore
+from .words import day_of
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -171,40 +172,18 @@ def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> 
     )  # fmt: skip
 
 
-class _Change(NamedTuple):
-    size: float
-    sd: float
-    misfit: float  # squared, in variances
-
-
 def _fit_change(
-    channels: Channels, prior: ChannelPrior, c: int, runs: slice, shape: Floats, scale: float | None = None
-) -> _Change | None:
-    """A change of one channel of the form `shape` (n,), beside a level and slopes that the fleet's bound."""
-    y = channels.y[runs, c]
-    known = np.flatnonzero(np.isfinite(y))
+    channels: Channels, prior: ChannelPrior, c: int, runs: slice, shape: Floats
+) -> ChangeFit | None:  # fmt: skip
+    """A change of one channel of the form `shape` (n,); None where the runs say nothing of it."""
+    known = np.flatnonzero(np.isfinite(channels.y[runs, c]))
     if known.size < BURN_IN or np.ptp(shape[known]) == 0.0:
         return None
-    variance = channels.variance[runs, c][known] * prior.variance[c]
-    white = 1.0 / np.sqrt(variance)
-    design = np.column_stack([np.ones(known.size), channels.covariates[runs][known], shape[known]]) * white[:, None]
-    target = y[known] * white
-    slope_sd = np.sqrt(np.diag(prior.covariance[c])[1:] * prior.variance[c])
-    ridge = np.diag([0.0, *(slope_sd**-2.0), 0.0])
-    pull = ridge @ np.concatenate([prior.mean[c], [0.0]])
-    weight = np.ones(known.size)
-    for _ in range(4):
-        own = design * weight[:, None]
-        normal = own.T @ design + ridge
-        solution = np.linalg.solve(normal, own.T @ target + pull)
-        residual = target - design @ solution
-        weight = np.minimum(1.0, CLIP / np.maximum(np.abs(residual), 1e-300))
-    clipped = np.clip(residual, -CLIP, CLIP)
+    found = fit_change(channels, prior, c, runs.start + known, shape[known])
     # neighbours that are alike say less than so many runs
     alike = math.sqrt((1.0 + prior.memory[c]) / (1.0 - prior.memory[c]))
-    spread = max(1.0, math.sqrt(float(clipped @ clipped) / max(known.size - 4, 1)))
-    sd = math.sqrt(float(np.linalg.inv(normal)[3, 3])) * alike * spread
-    return _Change(float(solution[3]), sd, float(clipped @ clipped))
+    spread = max(1.0, math.sqrt(found.misfit / max(known.size - 4, 1)))
+    return found._replace(sd=found.sd * alike * spread)
 
 
 def _alarm(stack: Stack, channels: Channels, prior: ChannelPrior, detections: Detections, k: int) -> Alarm:
@@ -226,7 +205,7 @@ def _alarm(stack: Stack, channels: Channels, prior: ChannelPrior, detections: De
     found = {j: _fit_change(channels, prior, c, runs, (steps >= j).astype(np.float64)) for j in around}
     kept = {j: one for j, one in found.items() if one is not None}
     best = min(kept, key=lambda j: kept[j].misfit) if kept else first - begin
-    change = kept.get(best) or _Change(math.nan, math.nan, math.inf)
+    change = kept.get(best) or ChangeFit(math.nan, math.nan, math.inf)
     possible = [j for j, one in kept.items() if one.misfit <= change.misfit + SAME_FIT] or [best]
     ramp = 0
     ramps = {
@@ -244,7 +223,7 @@ def _alarm(stack: Stack, channels: Channels, prior: ChannelPrior, detections: De
 
 def _described(
     stack: Stack, channels: Channels, drive: int, c: int, begin: int, best: int, possible: Sequence[int], ramp: int,
-    change: _Change, raised: int, others: tuple[str, ...],
+    change: ChangeFit, raised: int, others: tuple[str, ...],
 ) -> Alarm:  # fmt: skip
     column = stack.columns[c] if c < len(stack.columns) else None
     reach = NORMAL_95 * change.sd
@@ -334,7 +313,7 @@ def alarm_text(alarm: Alarm) -> str:
     of = "" if alarm.scale in (alarm.law, "its size before") else f" of {alarm.scale}"
     text = (
         f"{alarm.drive}: {alarm.law} {100.0 * alarm.change:+.1f} %{of} ({100.0 * low:+.1f} to {100.0 * high:+.1f} %) "
-        f"since {_day(alarm.first_time_s)}{grew}, alarm raised on {_day(alarm.raised_time_s)}"
+        f"since {day_of(alarm.first_time_s)}{grew}, alarm raised on {day_of(alarm.raised_time_s)}"
     )
     if alarm.others:
         text += f"; it may also be {' or '.join(alarm.others)}"
@@ -354,7 +333,3 @@ def watch_lines(found: Watched) -> list[str]:
     )
     lines.append(f"watched: {', '.join(found.laws)}")
     return lines
-
-
-def _day(time_s: float) -> str:
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")

@@ -1,4 +1,4 @@
-"""Joint refit of all parameters: those of the model and those of its effects, shared or per run.
+"""Effects in a joint fit with the model's own parameters: their sizes, their coordinates, and what was found of them.
 
 Adding an effect changes the other parameters: without it, Coulomb friction absorbs the mean of a drift, J the slope of
 an elasticity. So nothing is held that the data determine.
@@ -6,7 +6,7 @@ an elasticity. So nothing is held that the data determine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,19 +14,14 @@ import numpy.typing as npt
 
 from ..model.effects.table import Term
 from ..model.parameters import EffectModel, effect_model
-from .coordinates import MODEL_PARAMETERS, NUISANCES, PARAMETERS, Coordinates, coordinates, to_coordinates, to_physical
-from .layout import SHARED, EffectLayout, EffectScales, EffectStart, layout_of
-from .prediction import Problem, jacobian
-from .solver import Solution, solve
-from .uncertainty import Uncertainty, uncertainty_of
+from .coordinates import PARAMETERS, Coordinates
+from .layout import SHARED, EffectLayout, EffectScales
+from .prediction import Problem
 
 Floats = npt.NDArray[np.float64]
 
 BASE = len(PARAMETERS)
-ITERATIONS = 12
-COULOMB, STATIC, VISCOUS = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm", "viscous_nm_per_rps"))
-# a fit without the effect may have driven a friction parameter to zero, and a logarithm returns slowly from there
-LEAST_SHARE = 0.1  # of the larger of Fc and Fs; of what viscous friction has of it at the highest speed
+COULOMB, STATIC = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm"))
 
 
 class FittedEffect(NamedTuple):
@@ -42,10 +37,6 @@ class FittedEffect(NamedTuple):
         """The effect in one run."""
         return Term(self.name, {**self.values, **{key: values[run] for key, values in self.per_run.items()}})
 
-    def start(self) -> EffectStart:
-        """As the start of another fit."""
-        return EffectStart(self.name, self.values, self.per_run)
-
     def model(self, alternatives: Sequence[str] = (), provenance: str = "") -> EffectModel:
         """For a model file; of a parameter with a value for each run the first one stands there."""
         sd = {**self.sd, **{key: spread[0] for key, spread in self.per_run_sd.items()}}
@@ -53,29 +44,6 @@ class FittedEffect(NamedTuple):
             self.name, self.term().values, {key: spread or None for key, spread in sd.items()},
             datum="run" if self.per_run else "absolute", alternatives=alternatives, provenance=provenance,
         )  # fmt: skip
-
-
-class EffectsFit(NamedTuple):
-    """Result of the refit."""
-
-    physical: Floats  # (parameters,): of coordinates.PARAMETERS, then of the layout
-    effects: tuple[FittedEffect, ...]
-    errors: Floats  # (rows,) prediction errors, counts of the sensor
-    jacobian: Floats  # (rows, free), by coordinates; empty if not requested
-    free: npt.NDArray[np.int64]  # positions of the columns in the vector
-    problem: Problem  # with the layout
-    space: Coordinates
-    solution: Solution
-    uncertainty: Uncertainty | None
-
-    @property
-    def base(self) -> Floats:
-        """The model's own parameters and nuisances, as coordinates.PARAMETERS."""
-        return self.physical[:BASE]
-
-    def terms(self, run: int = 0) -> list[Term]:
-        """All effects as they act in a run."""
-        return [effect.term(run) for effect in self.effects]
 
 
 def scales_of(problem: Problem, physical: Floats) -> EffectScales:
@@ -93,12 +61,6 @@ def scales_of(problem: Problem, physical: Floats) -> EffectScales:
     )
 
 
-def with_effects(problem: Problem, physical: Floats, effects: Sequence[EffectStart]) -> tuple[Problem, Floats]:
-    """The problem with a layout, and the vector (parameters,) at the start of a refit."""
-    layout = layout_of(effects, scales_of(problem, physical))
-    return problem._replace(layout=layout), np.concatenate([physical[:BASE], [p.value for p in layout.parameters]])
-
-
 def joint_coordinates(base: Coordinates, layout: EffectLayout) -> Coordinates:
     """The space of the model's own parameters with that of the effects behind it."""
     parameters = layout.parameters
@@ -112,49 +74,6 @@ def joint_coordinates(base: Coordinates, layout: EffectLayout) -> Coordinates:
         (*base.names, *layout.labels), np.concatenate([base.scale, scale]), np.concatenate([base.low, low]),
         np.concatenate([base.high, high]), base.rising,
     )  # fmt: skip
-
-
-def fit_effects(
-    problem: Problem, physical: Floats, effects: Sequence[EffectStart], *,
-    free: Sequence[str] = (*MODEL_PARAMETERS, NUISANCES[0]), iterations: int = ITERATIONS,
-    check: Problem | None = None, with_jacobian: bool = True, progress: Callable[[int], None] | None = None,
-) -> EffectsFit:  # fmt: skip
-    """Refit the parameters `free` of the model and all free ones of the effects, from `physical` (PARAMETERS, ...).
-
-    With `check`, a problem of the same records at a second bandwidth (prediction.make_problem), standard deviations
-    are computed and include the shift between the two. Without effects it refits the model alone.
-    """
-    joint, start = with_effects(problem, physical, effects)
-    assert joint.layout is not None
-    if effects:
-        start = _revived(start, scales_of(problem, physical))
-    else:
-        joint = joint._replace(layout=None)
-    base = coordinates(start[:BASE], problem.shooting.period_s, tuple(free))
-    space = joint_coordinates(base, joint.layout) if joint.layout else base
-    solution = solve(joint, space, to_coordinates(start, space.scale), iterations, progress)
-    uncertainty = None
-    if check is not None:
-        other = solve(check._replace(layout=joint.layout), space, solution.values, max(4, iterations // 2))
-        uncertainty = uncertainty_of(joint, space, solution, other.values - solution.values)
-    movable = np.flatnonzero(space.high > space.low)
-    if with_jacobian:
-        errors, matrix = jacobian(joint, space, solution.values, movable, central=False)
-    else:
-        errors, matrix = jacobian(joint, space, solution.values, movable[:0], central=False)
-    found = to_physical(solution.values, space.scale)
-    fitted = effects_of(joint.layout, found, None if uncertainty is None else uncertainty.sd)
-    return EffectsFit(found, fitted, errors, matrix, movable, joint, space, solution, uncertainty)
-
-
-def _revived(start: Floats, scales: EffectScales) -> Floats:
-    """The start, with the friction restored that a fit without the effects had driven to zero."""
-    revived = start.copy()
-    least_nm = LEAST_SHARE * scales.torque_nm
-    revived[COULOMB] = max(start[COULOMB], least_nm)
-    revived[STATIC] = max(start[STATIC], least_nm)
-    revived[VISCOUS] = max(start[VISCOUS], LEAST_SHARE * least_nm / max(scales.highest_rps, 1e-9))
-    return revived
 
 
 def effects_of(layout: EffectLayout | None, physical: Floats, sd: Floats | None) -> tuple[FittedEffect, ...]:

@@ -6,7 +6,6 @@ population is fitted in `fleet.prior`; here is what a fit, a diagnosis and a pag
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -133,8 +132,3 @@ def _out(row: PopulationRow) -> str:
     away = row.own - row.prior
     size = f"{100.0 * away / abs(row.prior):+.0f} %" if abs(row.prior) > row.prior_sd else f"{away:+.3g} {row.unit}"
     return f"{row.label} {size} ({abs(row.away_sd):.1f} sd)"
-
-
-def finite(value: float) -> float | None:
-    """None for nan."""
-    return float(value) if math.isfinite(value) else None

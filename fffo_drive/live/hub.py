@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
 
@@ -16,39 +16,17 @@ from . import frames
 from .client import LiveClient
 from .control_link import ControlLink, ControlLinkError
 from .decimation import LATENESS_EDGES_US
-from .feed import CAPTURE_S, Feed, Taken
+from .feed import CAPTURE_S, Feed
 from .keys import Keys
 from .services import WHO, ServiceMethod
+
+if TYPE_CHECKING:
+    from .viewers import Viewers
 
 FRAMES_HZ = 50.0  # one per bin: a page draws each of them, as fast as its machine can
 STATUS_HZ = 10.0
 RETRY_S = 0.5
 EVENTS = 50
-
-
-class Audience(Protocol):
-    """Receivers other than the pages that get the same data: the viewers."""
-
-    @property
-    def looking(self) -> bool:
-        """Whether it needs data now."""
-        ...
-
-    def begin(self) -> None:
-        """What follows belongs to a new loop."""
-        ...
-
-    def rows(self, taken: Taken) -> None:
-        """Rows of the loop."""
-        ...
-
-    def status(self, status: Mapping[str, Any]) -> None:
-        """A status of the control API."""
-        ...
-
-    def event(self, event: Mapping[str, Any]) -> None:
-        """An event of the control API."""
-        ...
 
 
 class Hub:
@@ -58,7 +36,7 @@ class Hub:
         """`methods`: those of the control API, by name."""
         self.feed, self.control_path, self.keys, self.methods = feed, control_path, keys, methods
         self.clients: set[LiveClient] = set()
-        self.audience: Audience | None = None
+        self.audience: Viewers | None = None
         self.link = ControlLink(control_path, self._hear)
         self.stops = ControlLink(control_path)  # kept open, and used for stops only
         self._greeted: asyncio.Task[str | None] | None = None

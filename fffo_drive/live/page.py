@@ -6,6 +6,7 @@ import base64
 import hashlib
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from ..report import palette
 from ..report.page import ASSETS as REPORT_ASSETS
@@ -17,12 +18,36 @@ SCRIPTS = (
 )  # fmt: skip
 
 
+class WebPage(NamedTuple):
+    """A self-contained HTML text, and the style sheet and script in it."""
+
+    text: str
+    style: str
+    script: str
+
+
 @cache
+def read_page(assets: Path, name: str, scripts: tuple[str, ...]) -> WebPage:
+    """A page from NAME.html, NAME.css and scripts of a directory, with the charts and colours of reports."""
+    light, dark = palette.variables(dark=False), palette.variables(dark=True)
+    colours = (
+        f":root {{ color-scheme: light dark; {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
+    )
+    style = "\n".join((colours, _text(REPORT_ASSETS / "uplot/uPlot.min.css"), _text(assets / f"{name}.css")))
+    script = "\n".join((_text(REPORT_ASSETS / "uplot/uPlot.iife.min.js"), *(_text(assets / own) for own in scripts)))
+    licence = _text(REPORT_ASSETS / "uplot/LICENSE").replace("--", "- -")
+    text = _text(assets / f"{name}.html")
+    text = text.replace("{{style}}", style).replace("{{script}}", script).replace("{{licence}}", licence)
+    return WebPage(text, style, script)
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def page() -> str:
     """The page."""
-    style, script = _style(), _script()
-    text = (ASSETS / "scope.html").read_text(encoding="utf-8")
-    return text.replace("{{style}}", style).replace("{{script}}", script).replace("{{licence}}", uplot_licence())
+    return read_page(ASSETS, "scope", SCRIPTS).text
 
 
 @cache
@@ -30,8 +55,9 @@ def headers() -> dict[str, str]:
     """Only scripts and styles of the page itself run, no other page may frame it, and it connects to this server
     only.
     """
+    _, style, script = read_page(ASSETS, "scope", SCRIPTS)
     policy = (
-        f"default-src 'none'; script-src {source_hash(_script())}; style-src {source_hash(_style())}; "
+        f"default-src 'none'; script-src {source_hash(script)}; style-src {source_hash(style)}; "
         "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     return {
@@ -43,28 +69,6 @@ def headers() -> dict[str, str]:
         "X-Frame-Options": "DENY",
         "Cache-Control": "no-store",
     }
-
-
-@cache
-def _style() -> str:
-    light, dark = palette.variables(dark=False), palette.variables(dark=True)
-    colours = (
-        f":root {{ color-scheme: light dark; {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
-    )
-    uplot = (REPORT_ASSETS / "uplot/uPlot.min.css").read_text(encoding="utf-8")
-    return "\n".join((colours, uplot, (ASSETS / "scope.css").read_text(encoding="utf-8")))
-
-
-@cache
-def _script() -> str:
-    uplot = (REPORT_ASSETS / "uplot/uPlot.iife.min.js").read_text(encoding="utf-8")
-    own = [(ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS]
-    return "\n".join((uplot, *own))
-
-
-def uplot_licence() -> str:
-    """As included in every page with charts."""
-    return (REPORT_ASSETS / "uplot/LICENSE").read_text(encoding="utf-8").replace("--", "- -")
 
 
 def source_hash(text: str) -> str:

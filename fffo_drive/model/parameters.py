@@ -22,7 +22,7 @@ from .axis import AxisConfig
 from .effects.law import SHAPE
 from .effects.laws.lookup import UNKNOWN, CurveModel, curve_errors, curve_model, packed_curve, packed_sd
 from .effects.registry import law_of, name_error, parameter_errors
-from .effects.table import EffectTable, Term, effect_table
+from .effects.table import Term
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
 OMEGA_FORMS = {"clipped": OMEGA_CLIPPED, "signed": OMEGA_SIGNED, "literal": OMEGA_LITERAL}
@@ -177,10 +177,6 @@ class ModelFile(StrictRecord):
     def effect_terms(self) -> list[Term]:
         """The effects as the kernels take them."""
         return [effect.term() for effect in self.effects]
-
-    def effect_table(self, step_s: float) -> EffectTable:
-        """The effects packed for a simulation with this step."""
-        return effect_table(self.effect_terms(), self.axis_config(), step_s)
 
 
 def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from .. import units
+from ..documents import did_you_mean
 from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE
-from .errors import RecordingError, did_you_mean
+from .errors import RecordingError
 
 TIME = "time_s"
 _FOREIGN = (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)

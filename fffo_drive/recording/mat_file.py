@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import RecordingError, did_you_mean
+from ..documents import did_you_mean
+from .errors import RecordingError
 from .mat_elements import unpacked
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

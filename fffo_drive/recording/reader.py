@@ -14,9 +14,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Metadata, Schema, Statistics
 
+from ..documents import did_you_mean
 from ..signals import ROW, SIGNALS, UNITS
 from ..units import NS_PER_S
-from .errors import RecordingError, did_you_mean
+from .errors import RecordingError
 from .events import Event, decode_event
 from .run_records import RECORD_TOPIC, RECORD_TYPE, RecordKind, RunRecord, decode_record
 from .scan import (

@@ -13,9 +13,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..documents import did_you_mean
 from .column_map import TIME, ColumnMap, Conversion, conversions, identity_map
 from .csv_file import CsvFile
-from .errors import RecordingError, did_you_mean
+from .errors import RecordingError
 from .mat_file import MatFile
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

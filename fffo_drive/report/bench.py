@@ -10,6 +10,7 @@ import numpy as np
 
 from ..drive.port import ExchangeCounts
 from ..evaluation.metrics import (
+    METRIC_UNITS,
     PAPER_TABLE_2,
     ErrorMetrics,
     Rows,
@@ -45,7 +46,6 @@ Intervals = dict[str, dict[str, ShownInterval]]
 
 PICTURE_NAMES = ("bench.svg", "bench.png")
 STRETCH_S = 1.0
-UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
 COMPARABLE_S = 60.0  # shorter references have too few reversals for a comparison with Table II
 SOUND_LATE_SHARE = 0.01
 SOUND_MISSING_SHARE = 0.01
@@ -104,9 +104,12 @@ def evaluate(records: Mapping[str, BenchRecord]) -> BenchResult:
     )
 
 
-def bench_report(records: Mapping[str, BenchRecord]) -> Report:
-    """The report of the runs by controller; those of the paper are called PI, PI+FBFO and PI+FFFO."""
-    result = evaluate(records)
+def bench_report(records: Mapping[str, BenchRecord], result: BenchResult | None = None) -> Report:
+    """The report of the runs by controller; those of the paper are called PI, PI+FBFO and PI+FFFO.
+
+    `result`: of `evaluate`, where it is known.
+    """
+    result = result or evaluate(records)
     cutouts = draw.choose_cutouts(result.data.reference_rps, result.data.period_s)
     head = next(iter(records.values())).metadata
     sections = _sections(result, cutouts)
@@ -127,11 +130,11 @@ def bench_report(records: Mapping[str, BenchRecord]) -> Report:
     )
 
 
-def write_bench_report(records: Mapping[str, BenchRecord], directory: Path) -> ReportPaths:
+def write_bench_report(records: Mapping[str, BenchRecord], result: BenchResult, directory: Path) -> ReportPaths:
     """Write report.html, report.json, bench.svg and bench.png into the directory of the runs."""
     from .static import write_overview
 
-    report = bench_report(records)
+    report = bench_report(records, result)
     paths = write_report(report, directory)
     write_overview(overview_rows(report), [directory / name for name in PICTURE_NAMES])
     return paths
@@ -311,7 +314,7 @@ def _metrics_table(result: BenchResult) -> Table:
                 _share(share, interval),
                 number(paper),
             ]
-        rows.append(Row(label=key.upper(), unit=UNITS[key], cells=cells))
+        rows.append(Row(label=key.upper(), unit=METRIC_UNITS[key], cells=cells))
     return Table(
         name="metrics", title="Velocity error",
         note="Reference minus measured velocity over the profile. Per cent of the smallest, as in Table II of the "
@@ -339,8 +342,7 @@ def _ticks_table(result: BenchResult) -> Table:
     ]  # fmt: skip
     rows = []
     for name, t in result.ticks.items():
-        wire = t.bad_frames + t.dropped_frames + t.error_frames + t.bus_losses + t.send_errors
-        counts = [count(v) for v in (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback, wire)]
+        counts = [count(v) for v in (t.ticks, t.late, t.skipped, t.missing_feedback, t.late_feedback, t.wire_errors)]
         times = [number(v) for v in (t.lateness_us_p50, t.lateness_us_p99, t.lateness_us_max, t.turnaround_us_p50)]
         rows.append(Row(label=name, cells=[*counts, *times, count(result.rows_lost[name])]))
     return Table(

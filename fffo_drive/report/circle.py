@@ -6,13 +6,12 @@ report.json is the usual one; its `results` are `as_object`, of the format `circ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import formats
-from ..evaluation.metrics import ErrorMetrics, Rows, error_metrics, profile_rows
+from ..evaluation.metrics import METRIC_UNITS, ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
 from .document import (
     Cell,
@@ -31,11 +30,9 @@ from .document import (
 )
 from .figures import Floats
 from .intervals import ShownInterval, ratio_intervals
-from .page import ReportPaths, write_report
 
 KIND = "close-the-loop"
 STRETCH_S = 1.0
-UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
 COLUMNS = {"measured": "velocity_rps", "true": "true_velocity_rps"}
 KINDS = {"measured": "measured velocity", "true": "shaft's velocity"}
 SOUND_SHARE = 0.01
@@ -157,11 +154,6 @@ def as_object(source: CircleSource) -> dict[str, Any]:
 def _ratio(pair: BeforeAfter, key: str) -> float | None:
     before = float(getattr(pair.before, key))
     return None if pair.after is None or before == 0.0 else float(getattr(pair.after, key)) / before
-
-
-def write_circle_report(source: CircleSource, directory: Path) -> ReportPaths:
-    """Write report.html and report.json into a directory that exists."""
-    return write_report(circle_report(source), directory)
 
 
 def circle_report(source: CircleSource) -> Report:
@@ -292,7 +284,7 @@ def _tracking_table(tracking: Tracking) -> Table:
         for label, unit in (("before", ""), ("after", ""), ("after over before", ""))
     ]
     rows = []
-    for key, unit in UNITS.items():
+    for key, unit in METRIC_UNITS.items():
         cells: list[Cell] = []
         for kind, pair in tracking.metrics.items():
             cells.append(number(getattr(pair.before, key)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -436,7 +436,7 @@ def _plain(content: Any) -> Any:
     if isinstance(content, dict):
         return {str(key): _plain(value) for key, value in content.items()}
     if isinstance(content, (list, tuple, np.ndarray)):
-        return [_plain(value) for value in _items(content)]
+        return [_plain(value) for value in content]
     if isinstance(content, (bool, np.bool_)):
         return bool(content)
     if isinstance(content, (int, np.integer)):
@@ -444,7 +444,3 @@ def _plain(content: Any) -> Any:
     if isinstance(content, (float, np.floating)):
         return float(content) if math.isfinite(content) else None
     return content if content is None else str(content)
-
-
-def _items(content: Any) -> Iterator[Any]:
-    yield from content

@@ -35,14 +35,6 @@ def encode(values: Floats) -> Encoded:
     return {"i2": _base64(steps.astype("<i2")), "scale": scale, "offset": offset}
 
 
-def decode(encoded: Encoded) -> Floats:
-    """Inverse of `encode`, as the page's script computes it."""
-    if "f4" in encoded:
-        return np.frombuffer(base64.b64decode(encoded["f4"]), "<f4").astype(np.float64)
-    steps = np.frombuffer(base64.b64decode(encoded["i2"]), "<i2").astype(np.float64)
-    return np.where(steps == MISSING, np.nan, steps * encoded["scale"] + encoded["offset"])
-
-
 def encode_figures(figures: Sequence[Figure], largest_bytes: int = LARGEST_DATA_BYTES) -> list[dict[str, Any]]:
     """All figures of a page within `largest_bytes` of data: the longest records are decimated first."""
     most = max((series.finest for figure in figures for series in figure.series), default=0)

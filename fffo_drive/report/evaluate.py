@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from ..evaluation.campaign import Cutout, Evaluation
 from ..evaluation.compare import SeedInterval, ratio_interval
 from ..evaluation.measures import Yardstick
-from ..evaluation.metrics import PAPER_TABLE_2
+from ..evaluation.metrics import METRIC_UNITS, PAPER_TABLE_2
 from ..evaluation.summary import Summary, as_object
 from .document import (
     Cell,
@@ -30,10 +29,8 @@ from .document import (
     significant,
 )
 from .figures import Dash, Figure, Group, PlotAxis, Series, Uniform, grouped_bars
-from .page import ReportPaths, write_report
 
 METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}
-UNITS = {"ise": "rps² s", "mae": "rps", "max": "rps", "std": "rps"}
 KINDS = {"measured": "measured velocity", "true": "true velocity"}
 PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
 COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
@@ -50,13 +47,6 @@ class EvaluationSource(NamedTuple):
     yardstick: Yardstick
     cautions: Sequence[str]
     provenance: ReportProvenance
-
-
-def write_evaluation_report(
-    source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation], directory: Path
-) -> ReportPaths:
-    """Write report.html and report.json into a directory that exists."""
-    return write_report(evaluation_report(source, summary, evaluations), directory)
 
 
 def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation]) -> Report:
@@ -176,7 +166,7 @@ def _table_2(summary: Summary) -> Table:
 
 
 def _metrics_table(summary: Summary, kind: str) -> Table:
-    columns = [Heading(label=title, unit=UNITS[key]) for key, title in METRICS.items()]
+    columns = [Heading(label=title, unit=METRIC_UNITS[key]) for key, title in METRICS.items()]
     return Table(
         name=f"metrics-{kind}", title=f"Error against {KINDS[kind]}", corner="Control", columns=columns,
         note="Mean over seeds with its 95 % interval; seeds differ in noise and, for a multi-sine, in the reference.",

@@ -113,16 +113,13 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
     else:
         left = _span(percent.values())
         headline = f"The data determine all {len(fitted)} parameters; the residual is {left} % of the {words.torque}."
-    cautions = [*results["warnings"], *_remaining(results)]
-    cautions += [
-        f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]
-    ]
+    doubts = [f"{d['symbol']}: {d['reason']}; what would determine it: {d['excitation']}." for d in results["doubts"]]
     useless = worst > USELESS_RESIDUAL_PERCENT or INERTIA in [doubt["name"] for doubt in results["doubts"]]
     doubtful = bool(doubted) or worst > LARGE_RESIDUAL_PERCENT
     quality = _quality(results, words)
     good = quality[0].removeprefix("Quality: ")
     lines = [Line(label="What", text=_known(results, doubted)), Line(label="How good", text=good)]
-    lines += [Line(label="How sure", text=_first_doubt(results))] if doubted else []
+    lines += [Line(label="How sure", text=doubt) for doubt in doubts[:1]]
     if useless:
         text = "Do not tune with this model: record the motion that determines the rest, and identify again."
         lines.append(Line(label="Next", text=text))
@@ -136,14 +133,8 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
         alarm=useless,
         lines=lines,
         reasons=quality[1:],
-        cautions=cautions,
+        cautions=[*results["warnings"], *_remaining(results), *doubts],
     )
-
-
-def _first_doubt(results: dict[str, Any]) -> str:
-    """The first parameter that the data do not determine, and the motion that would determine it."""
-    doubt = results["doubts"][0]
-    return f"{doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}."
 
 
 def _known(results: dict[str, Any], doubted: Sequence[str]) -> str:

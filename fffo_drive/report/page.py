@@ -33,7 +33,9 @@ class ReportPaths(NamedTuple):
 
 
 def write_report(report: Report, directory: Path) -> ReportPaths:
-    """Write report.html and report.json into a directory that exists."""
+    """Write report.html and report.json. Raises DocumentError where the directory holds a report of another kind."""
+    refuse_other_report(directory, report.kind)
+    directory.mkdir(parents=True, exist_ok=True)
     paths = ReportPaths(directory / PAGE_NAME, directory / JSON_NAME)
     paths.page.write_text(render_page(report), encoding="utf-8")
     content = report.file().model_dump(mode="json", exclude_none=True)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.stability import LinearAxis, Margins, loop_margins
+from ..control.stability import LinearAxis, Margins, impedance_nm_per_rps, loop_margins
+from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
@@ -105,7 +106,7 @@ def poles_figure(tuning: Tuning) -> Figure:
     return Figure(
         name="poles", kind="xy", title="Poles over the gain",
         caption="Distance of the poles from the imaginary axis, and the frequency of a complex pair. Both stay real "
-                "from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
+                f"from {significant(bound)} A/rps on; {significant(chosen)} is chosen.",
         x=PlotAxis("Kp", "A/rps", log=True), y=PlotAxis("pole", "1/s", log=True), width="half",
         series=(
             Series("−Re", gains, -first.real, "blue", weight=2.0),
@@ -159,6 +160,7 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
         if observer > 0.0 and np.isfinite(margins.crossover_hz):
             levels.append(LevelLine(margins.crossover_hz, "", upright=True))
     wanted = tuning.wish.phase_margin_deg
+    estimated = " Margins with the estimated velocity are the smaller ones of this loop and the one cut at the current."
     x = PlotAxis("frequency", "Hz", log=True)
     return [
         Figure(
@@ -171,7 +173,8 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
         Figure(
             name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
             caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
-                    f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° are required.",
+                    f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° are required."
+                    + estimated * (tuning.axis.estimator is not None),
             x=x, y=PlotAxis("phase", "deg"), series=tuple(phase),
             levels=(LevelLine(-180.0, "−180°"), LevelLine(wanted - 180.0, f"{wanted:g}° margin"), *levels),
         ),
@@ -179,13 +182,15 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
 
 
 def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Floats) -> Floats:
-    """Complex open loop (n,) as in control.stability: L is additional integral action."""
-    s = 2j * np.pi * hz
-    kt = axis.torque_constant_nm_per_a
+    """Complex open loop (n,) of `loop_margins`, cut at the velocity: L is additional integral action."""
+    omega = 2.0 * np.pi * hz
+    s, kt = 1j * omega, axis.torque_constant_nm_per_a
     controller = gains.proportional_a_per_rps * kt + (gains.integral_a_per_rev * kt + observer_nm_per_rev) / s
-    return np.asarray(
-        controller / (axis.inertia_nm_s2_per_rev * s + axis.damping_nm_per_rps) * np.exp(-s * axis.delay_s)
-    )
+    plant = np.exp(-s * axis.delay_s) / impedance_nm_per_rps(axis, s)
+    if axis.estimator is not None:
+        known = estimator_response(axis.estimator, omega)
+        plant = known.of_position_per_s / s * plant + known.of_command_rps_per_a / kt
+    return np.asarray(controller * plant)
 
 
 def damping_figures(tuning: Tuning) -> list[Figure]:

@@ -70,9 +70,7 @@ def lateness_findings(measured: Lateness, wanted: Wanted) -> list[HostFinding]:
         f"median {median:.0f}, 99 % {high:.0f}, worst {late_us.max():.0f} us in {late_us.size} periods of "
         f"{wanted.period_us:g} us ({properties}); {100 * late:.2g} % later than {bound_us:g} us"
     )
-    remedy = (
-        "fix what is listed above; then measure for longer, under the usual load: fffo-drive doctor --seconds 600"
-    )
+    remedy = "fix what is listed above; then measure for longer, under the usual load: fffo-drive doctor --seconds 600"
     findings = [warning("real time", refusal, "see the limits above") for refusal in measured.realtime.refusals]
     if late == 0.0:
         return [*findings, ok(subject, text)]

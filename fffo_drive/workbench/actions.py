@@ -229,7 +229,7 @@ ACTIONS: dict[str, PageAction] = {
 }
 
 
-def known_axis(bench: Bench, path: Any, files: Sequence[Path]) -> Path:
+def known_axis(path: Any, files: Sequence[Path]) -> Path:
     """An axis file of this bench. Raises DocumentError for any other, and for one that cannot be read."""
     chosen = next((file for file in files if str(file) == path), None)
     if chosen is None:

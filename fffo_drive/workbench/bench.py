@@ -216,8 +216,7 @@ class Workbench:
     def use_axis(self, asker: Asker, path: Any) -> None:
         """Work on another axis file of this bench. Raises ForbiddenError, DocumentError."""
         self._require(asker, "tune")
-        bench = Bench(self.directory, self._axis, self._facts, self._given)
-        self._axis = known_axis(bench, path, list(shelf.axis_files(self.directory, self._first)))
+        self._axis = known_axis(path, list(shelf.axis_files(self.directory, self._first)))
         self._log_action(asker, "use_axis", {"path": path})
 
     def take(self, asker: Asker, name: str, content: bytes) -> None:

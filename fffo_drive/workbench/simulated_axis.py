@@ -9,10 +9,10 @@ from ..can.link import CanFilter, LinkError, open_link
 from ..config.axis import AxisFile, read_axis
 from ..config.drive_section import CanopenDriveSection
 from ..documents import DocumentError
+from ..drive.canopen.service import READ_DEVICE_TYPE
 from ..system.service_files import example_files
 
 FILE = "simulated_drive.yaml"  # beside the axis file, else the example
-READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000
 ANSWER_S = 0.5
 
 

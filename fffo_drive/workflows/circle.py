@@ -33,9 +33,9 @@ from ..documents import DocumentError
 from ..identification.facts import read_facts
 from ..model.effects.laws.second_surface import SECOND_SURFACE
 from ..model.parameters import ModelFile, read_model
-from ..report.circle import KIND, CircleRun, CircleSource, tracking_of, write_circle_report
+from ..report.circle import KIND, CircleRun, CircleSource, circle_report, tracking_of
 from ..report.document import provenance, source_file
-from ..report.page import refuse_other_report
+from ..report.page import refuse_other_report, write_report
 from .circle_runs import Circle, CircleWish, RecordedRun, SpoiledRunError, change, changed, write_axis, write_simulated
 from .diagnose import MODEL_NAME, diagnose_recordings
 from .errors import DriveFaultError
@@ -144,7 +144,7 @@ def _close(
         except SpoiledRunError as error:
             trouble = f"{error}; the model is in service in {circle.path}, but its tracking error was not measured"
     source = _source(circle, plan, model, report, found, (before, *fit), after)
-    return Closed(source, tuple(found), adopted, write_circle_report(source, out).page, trouble)
+    return Closed(source, tuple(found), adopted, write_report(circle_report(source), out).page, trouble)
 
 
 # -- before anything moves --------------------------------------------------------------------------------------------

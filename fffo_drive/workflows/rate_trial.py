@@ -25,7 +25,7 @@ from ..config.sections import LoopSection
 from ..drive.canopen.config import CanopenDriveConfig, load_of
 from ..drive.canopen.drive import CanopenDrive
 from ..drive.canopen.object_map import MappingError
-from ..drive.canopen.scan import READ_DEVICE_TYPE
+from ..drive.canopen.service import READ_DEVICE_TYPE
 from ..drive.canopen.silence import RPDO_TIMER
 from ..drive.port import BusUnavailableError, DriveError
 from ..model.parameters import ModelFile

@@ -5,9 +5,9 @@ A failure prevents it. A warning may prevent it, or cause trouble later. Nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-from ..drive.canopen.emergency import code_text, emergency_text, register_text
+from ..drive.canopen.emergency import code_text, emergency_text, history_text, register_text
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.service import Emergency
 from ..drive.cia402 import (
@@ -44,19 +44,16 @@ def stands_between(
     writes before the drive is enabled (0x6076:00).
     """
     word = objects.value(0x6041)
-    found: list[HostFinding] = []
-    for part in (
-        lambda: _state(objects, word),
-        lambda: _fault(objects, emergencies, word),
-        lambda: _supply(objects, word),
-        lambda: _control(word, operational),
-        lambda: _inputs(objects, word),
-        lambda: _brake(objects),
-        lambda: _motor(objects, written),
-        lambda: _unreadable(objects),
-    ):  # fmt: skip
-        look: Callable[[], Iterator[HostFinding]] = part
-        found += look()
+    found = [
+        *_state(objects, word),
+        *_fault(objects, emergencies, word),
+        *_supply(objects, word),
+        *_control(word, operational),
+        *_inputs(objects, word),
+        *_brake(objects),
+        *_motor(objects, written),
+        *_unreadable(objects),
+    ]
     order = {Severity.FAILURE: 0, Severity.WARNING: 1, Severity.OK: 2}
     return sorted(found, key=lambda finding: order[finding.level])
 
@@ -111,7 +108,7 @@ def _fault(objects: SdoObjects, emergencies: Sequence[Emergency], word: int | No
     if register := objects.value(0x1001):
         said.append(f"error register 0x1001 {register_text(register)}")
     kept = [objects.value(0x1003, sub) for sub in range(1, HISTORY + 1)]
-    history = ", ".join(_history_text(entry) for entry in kept[: objects.value(0x1003) or 0] if entry)
+    history = ", ".join(history_text(entry) for entry in kept[: objects.value(0x1003) or 0] if entry)
     past = [f"kept in 0x1003: {history}"] * bool(history)
     if word is not None and state_of(word) in FAULT_STATES:
         yield failure(
@@ -123,12 +120,6 @@ def _fault(objects: SdoObjects, emergencies: Sequence[Emergency], word: int | No
         yield warning("fault", "; ".join([*said, *past]), "look up the code in the vendor's manual")
     elif history:
         yield ok("history", f"earlier errors in 0x1003: {history}")
-
-
-def _history_text(entry: int) -> str:
-    """An error code, and the vendor's word in the upper half."""
-    vendor = entry >> 16
-    return code_text(entry & 0xFFFF) + (f" with 0x{vendor:04X}" if vendor else "")
 
 
 def _supply(objects: SdoObjects, word: int | None) -> Iterator[HostFinding]:

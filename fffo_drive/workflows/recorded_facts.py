@@ -9,12 +9,12 @@ from typing import Any
 from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_section import CanopenDriveSection, SimulatedDriveSection
-from ..documents import DocumentError, check, parse, refuse
+from ..documents import DocumentError, check, did_you_mean, parse, refuse
 from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts, read_facts
 from ..importing.convert import FACTS_NAME
 from ..model.parameters import ModelFile
-from ..recording.errors import RecordingError, did_you_mean
+from ..recording.errors import RecordingError
 from ..recording.reader import Run, read_run
 from ..recording.table import column_names
 from .replay import recorded_files

@@ -306,7 +306,7 @@ CASES = (
     Case("missing file of the simulated drive", RUN, 78, (f"{DRIVE}: cannot be read: No such file",), without(DRIVE)),
     Case(
         "unknown effect of the simulated drive", RUN, 78,
-        (rf"{DRIVE}:\d+: plant\.effects\[0\]\.name: no effect is called 'coging' \(did you mean 'cogging'",),
+        (rf"{DRIVE}:\d+: plant\.effects\[0\]\.name: no effect is called 'coging': did you mean 'cogging'",),
         changed(DRIVE, "  effects: []", "  effects: [{name: coging}]"),
     ),
     Case(

@@ -26,11 +26,6 @@ def test_absent_refused_and_empty_are_three_things():
     assert objects.unreadable == {"0x2000:00": "abort 0x08000020", "0x2001:00": "abort 0x06010001"}
 
 
-def test_signs():
-    objects = SdoObjects(Paper({(0x6061, 0): b"\xfb", (0x6077, 0): b"\x10\x00"}).read)
-    assert (objects.signed(0x6061, 0, 8), objects.signed(0x6077, 0, 16), objects.signed(1, 0, 8)) == (-5, 16, None)
-
-
 def test_one_timeout_is_reported_and_several_in_a_row_mean_that_the_drive_is_gone():
     objects = SdoObjects(Paper({(0x2000, 0): SILENT, (0x2001, 0): u32(1), (0x2002, 0): SILENT}).read)
     assert [objects.value(index) for index in (0x2000, 0x2001, 0x2002)] == [None, 1, None]

@@ -31,6 +31,7 @@ from fffo_drive.model.effects.laws.lookup import (
     values_of,
 )
 from fffo_drive.model.effects.registry import LAWS, vector_of
+from fffo_drive.model.effects.table import effect_table
 from fffo_drive.model.parameters import EffectModel, Quantity, effect_errors, effect_model, read_model, write_model
 from fffo_drive.workflows.plan import make_plan
 
@@ -123,7 +124,7 @@ def test_a_found_effect_is_read_by_all_that_use_a_model(name, found, form, tmp_p
         write_model(path, model)
         again = read_model(path)
         assert effect_errors(again.effects) == []
-        parameters = again.effect_table(5e-4).parameters
+        parameters = effect_table(again.effect_terms(), again.axis_config(), 5e-4).parameters
         for row, values, effect in zip(parameters, some, again.effects, strict=True):
             vector = vector_of(name, values)
             assert row[: len(vector)] == pytest.approx(vector, rel=1e-14, abs=0.0)

@@ -12,7 +12,7 @@ from fffo_drive.config.effects import compensation_table
 from fffo_drive.control.controller import pack_controller
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
-from fffo_drive.evaluation.metrics import true_metrics
+from fffo_drive.evaluation.metrics import run_metrics
 from fffo_drive.evaluation.replay_runs import ReplayedLaw, Replayer
 from fffo_drive.model.parameters import EffectModel, Quantity, read_model
 from fffo_drive.recording.ring_reader import RingReader
@@ -76,7 +76,7 @@ def law(model):
 def test_the_error_falls_and_every_row_replays(models):
     runs = [run(model) for model in models]
     without, with_effect = (rows for rows, _ in runs)
-    ise = [true_metrics(rows, PERIOD_S, PROFILE.values.size).ise for rows in (without, with_effect)]
+    ise = [run_metrics(rows, PERIOD_S, PROFILE.values.size, "true_velocity_rps").ise for rows in (without, with_effect)]
     assert ise[1] < 0.3 * ise[0]
     for one, model in zip(runs, models, strict=True):
         assert replayed(*one).exact

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fffo_drive as fd
-from fffo_drive.fleet.backlash import GAP_REV, GAP_UPPER, GapSums, gap_of, gap_sums, gaps_unpacked
+from fffo_drive.fleet.backlash import GAP_REV, GAP_UPPER, GapSums, gap_of, gap_sums
 from fffo_drive.fleet.measure import measured
 from fffo_drive.fleet.place import digest_of
-from fffo_drive.fleet.regress import Estimates
+from fffo_drive.fleet.regress import Estimates, unpacked
 from fffo_drive.identification.dataset import load_record
 
 from .fleet_rig import FACTS, write_run
@@ -43,7 +43,7 @@ def sums_of(path: Path) -> GapSums:
     """The gap's sums as the record has them."""
     made = measured(path, digest_of(path), None)
     scalars = (made[f"gap_{name}"] for name in ("energy_nm2", "rows", "effective_rows"))
-    return GapSums(gaps_unpacked(made["gap_normal"]), made["gap_moment"], *scalars)
+    return GapSums(unpacked(made["gap_normal"], GAP_REV.size), made["gap_moment"], *scalars)
 
 
 @pytest.fixture(scope="module")
@@ -100,4 +100,4 @@ def test_a_share_that_no_machine_has_is_no_gap() -> None:
 
 def test_the_sums_come_back_from_their_triangle() -> None:
     sums = made_of(4.0, 0.3, 0.01)
-    assert np.array_equal(gaps_unpacked(sums.normal[GAP_UPPER]), sums.normal)
+    assert np.array_equal(unpacked(sums.normal[GAP_UPPER], GAP_REV.size), sums.normal)

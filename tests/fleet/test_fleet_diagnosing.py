@@ -13,10 +13,19 @@ from fleet.fleet_rig import filled_store, write_run
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet import diagnosing
-from fffo_drive.fleet.diagnosing import BEFORE, NOW, FleetDiagnosis, diagnose_drives, file_name, subjects_of
+from fffo_drive.fleet.diagnosing import (
+    BEFORE,
+    NOW,
+    FleetDiagnosis,
+    diagnose_drives,
+    file_name,
+    fleet_diagnosis_report,
+    subjects_of,
+)
 from fffo_drive.fleet.history import history
 from fffo_drive.fleet.watch import Alarm, Watched
 from fffo_drive.fleet.work import work
+from fffo_drive.report.page import write_report
 from fffo_drive.units import TWO_PI
 
 RUNS = 12
@@ -101,7 +110,7 @@ def real(store, tmp_path_factory):
 
 def test_a_drive_without_a_change_is_diagnosed_by_its_last_runs_and_the_newest_is_the_proof(store, runs, real):
     found, out = real
-    paths = diagnosing.write_fleet_diagnosis(found, store.place.address, out)
+    paths = write_report(fleet_diagnosis_report(found, store.place.address, out), out)
     (drive,) = json.loads(paths.json.read_text())["results"]["drives"]
     assert (drive["drive"], drive["alarms"], list(drive["sides"])) == ("A/1", [], [NOW])
     assert drive["sides"][NOW]["runs"] == runs["A/1"][-2:]
@@ -148,7 +157,8 @@ def test_both_sides_stand_side_by_side_and_a_file_that_is_gone_is_reported(store
     ]
     assert [problem.split(":")[0] for problem in found.problems] == ["A/1, before"]
     assert "it is gone since it was added" in found.problems[0]
-    paths = diagnosing.write_fleet_diagnosis(found, store.place.address, tmp_path / "pages")
+    pages = tmp_path / "pages"
+    paths = write_report(fleet_diagnosis_report(found, store.place.address, pages), pages)
     (table,) = json.loads(paths.json.read_text())["tables"]
     assert [column["label"] for column in table["columns"]] == [BEFORE, NOW]
     assert "M_1/A_1/before/report.html, M_1/A_1/now/report.html" in table["note"]

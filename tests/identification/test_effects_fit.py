@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from identification.refit import fit_effects, with_effects
 from identification.rig import record
 from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record
 from model.loaded_axis import simulate_with_effects
 
 from fffo_drive.drive.simulated.parameters import EffectConfig, paper_plant
 from fffo_drive.identification.coordinates import MODEL_PARAMETERS, coordinates, to_coordinates
-from fffo_drive.identification.effects_fit import fit_effects, with_effects
 from fffo_drive.identification.excitation import identification_sequence
 from fffo_drive.identification.layout import EffectStart, default_free
 from fffo_drive.identification.prediction import make_problem, residual

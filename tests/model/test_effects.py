@@ -14,7 +14,7 @@ from fffo_drive.model.axis import AxisConfig, AxisState, simulate
 from fffo_drive.model.effects import slots as s
 from fffo_drive.model.effects.law import SearchContext
 from fffo_drive.model.effects.registry import LAWS, NAMES, is_compensable, name_error, parameter_errors
-from fffo_drive.model.effects.table import Term, effect_table, effects_along, regressors
+from fffo_drive.model.effects.table import Term, effect_table, effects_along
 from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
 from fffo_drive.model.parameters import EffectModel, Quantity, content_hash, read_model, write_model
 
@@ -60,11 +60,19 @@ def along(name, values, rows=MOTION, step_s=STEP_S):
     return effects_along([Term(name, values)], rows, AXIS, step_s)
 
 
+def each_strength(name, rows):
+    """Strengths of a law, and of each, alone and typical: (n, k) torque and (n, k) rev of the sensor, per unit."""
+    shape, strengths = SHAPES.get(name, {}), LAWS[name].strengths
+    found = [effects_along([Term(name, {**shape, p.name: p.typical})], rows, AXIS, STEP_S) for p in strengths]
+    load, sensor = (np.column_stack(columns) / [p.typical for p in strengths] for columns in zip(*found, strict=True))
+    return [p.name for p in strengths], load, sensor
+
+
 def kernel_results():
     rows = MOTION[:600]
     found = []
     for name in NAMES:
-        names, load, sensor = regressors(name, SHAPES.get(name, {}), rows, AXIS, STEP_S)
+        names, load, sensor = each_strength(name, rows)
         found += [*load[::50, 0], *sensor[::50, -1]]
         kernel = effect_table([Term(name, {names[0]: 0.1, **SHAPES.get(name, {})})], AXIS, STEP_S, feedforward=True)
         found.append(float(kernel.parameters.sum()))
@@ -164,7 +172,7 @@ def test_a_change_of_level_is_what_the_friction_of_another_level_is_more(name, r
 
 @pytest.mark.parametrize("name", sorted(set(NAMES) - NOT_LINEAR - set(LEVELS)))
 def test_effects_are_linear_in_their_strengths(name):
-    names, load, sensor = regressors(name, SHAPES.get(name, {}), MOTION, AXIS, STEP_S)
+    names, load, sensor = each_strength(name, MOTION)
     generator = np.random.default_rng(4)
     strengths = generator.uniform(0.2, 0.8, len(names)) * [p.typical for p in LAWS[name].strengths]
     values = {**SHAPES.get(name, {}), **dict(zip(names, strengths, strict=True))}
@@ -324,7 +332,7 @@ def test_a_model_file_carries_its_effects_and_they_are_in_its_hash(tmp_path, tab
     write_model(tmp_path / "model.yaml", loaded)
     again = read_model(tmp_path / "model.yaml")
     assert again.effect_terms() == [Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.0, "order": 6.0})]
-    assert again.effect_table(STEP_S).addresses.shape == (1,)
+    assert effect_table(again.effect_terms(), again.axis_config(), STEP_S).addresses.shape == (1,)
     assert len({content_hash(plain), content_hash(loaded), content_hash(with_cogging(plain, 7.0))}) == 3
     write_model(tmp_path / "plain.yaml", plain)
     assert "effects" not in (tmp_path / "plain.yaml").read_text()

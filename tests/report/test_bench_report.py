@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from report.bench_runs import bench_records, bench_rows, reference
 
+from fffo_drive.drive.port import ExchangeCounts
 from fffo_drive.evaluation.metrics import run_metrics
 from fffo_drive.report.bench import bench_report, evaluate, overview_rows, write_bench_report
 from fffo_drive.report.bench_figures import choose_cutouts
@@ -79,6 +80,14 @@ def test_a_gain_that_is_none_is_called_so(records):
     assert verdict.headline.startswith("PI alone is best")
 
 
+def test_an_unknown_count_of_dropped_frames_is_no_error_on_the_wire(records):
+    exchange = ExchangeCounts(bad_frames=3, dropped_frames=-1)
+    unknown = {name: record._replace(exchange=exchange) for name, record in records.items()}
+    ticks = next(table for table in bench_report(unknown).tables if table.name == "ticks")
+    place = [column.label for column in ticks.columns].index("wire errors")
+    assert [row.cells[place].value for row in ticks.rows] == [3, 3, 3]
+
+
 def test_lost_rows_are_a_caution(records):
     lossy = {name: record._replace(rows_lost=7) for name, record in records.items()}
     assert any("PI 7" in text for text in bench_report(lossy).verdict.cautions)
@@ -122,7 +131,7 @@ def test_a_run_in_several_files_is_one_run(records):
 
 @pytest.mark.slow
 def test_files_beside_the_recordings(records, tmp_path):
-    paths = write_bench_report(records, tmp_path)
+    paths = write_bench_report(records, evaluate(records), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"report.html", "report.json", "bench.svg", "bench.png"}
     content = ReportFile.model_validate(json.loads(paths.json.read_text()))
     assert content.kind == "bench"

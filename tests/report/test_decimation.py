@@ -1,5 +1,7 @@
 """Decimation keeps what the eye would see; the encoding keeps numbers."""
 
+import base64
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fffo_drive.report.decimation import decimate, decimated_abscissa, thinned
-from fffo_drive.report.encoding import SHORT, decode, encode
+from fffo_drive.report.encoding import MISSING, SHORT, encode
 from fffo_drive.report.figures import Series, Uniform
 
 samples = arrays(
@@ -59,6 +61,14 @@ def test_a_curve_in_the_plane_is_thinned_and_bars_are_not():
     np.testing.assert_allclose(np.asarray(x) ** 2 + y**2, 1.0)
     bars = Series("bars", np.arange(50.0), np.arange(50.0), "blue", "bars")
     assert thinned(bars, 10)[1].size == 50
+
+
+def decode(encoded):
+    """Inverse of `encode`, as the page's script computes it."""
+    if "f4" in encoded:
+        return np.frombuffer(base64.b64decode(encoded["f4"]), "<f4").astype(np.float64)
+    steps = np.frombuffer(base64.b64decode(encoded["i2"]), "<i2").astype(np.float64)
+    return np.where(steps == MISSING, np.nan, steps * encoded["scale"] + encoded["offset"])
 
 
 @given(samples)

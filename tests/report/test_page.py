@@ -9,6 +9,7 @@ import pytest
 from pydantic import ValidationError
 from report.bench_runs import bench_records
 
+from fffo_drive.documents import DocumentError
 from fffo_drive.report.bench import bench_report
 from fffo_drive.report.document import (
     Cell,
@@ -175,6 +176,15 @@ def test_a_report_of_another_kind_needs_no_more(tmp_path):
     content = ReportFile.model_validate_json(paths.json.read_text())
     assert content.tables[0].rows[0].cells[0].value == 1.5e-4
     assert content.provenance.files[0].sha256.startswith("ba7816bf")
+
+
+def test_a_report_of_another_kind_is_not_overwritten(tmp_path):
+    directory = tmp_path / "made" / "here"
+    paths = write_report(small_report(kind="fleet"), directory)
+    before = paths.json.read_text()
+    with pytest.raises(DocumentError, match=r"here: holds the report of `fleet`.*give `tune` another --out"):
+        write_report(small_report(kind="tune"), directory)
+    assert paths.json.read_text() == before
 
 
 def test_the_opening_figure_stands_first_and_once():

@@ -11,9 +11,10 @@ from identification.rig import TABLE_1
 from report.test_page import LARGEST_PAGE_BYTES, outline
 
 from fffo_drive.cli import main
-from fffo_drive.control.stability import linear_axis, loop_margins
+from fffo_drive.control.stability import RIGID, linear_axis, loop_margins
+from fffo_drive.control.velocity_estimator import estimator_config
 from fffo_drive.identification.tuning import Wish, design, judge
-from fffo_drive.model.parameters import read_model, write_model
+from fffo_drive.model.parameters import effect_model, read_model, write_model
 from fffo_drive.report.document import ReportFile
 from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.static import write_figures
@@ -24,11 +25,15 @@ from fffo_drive.workflows.tune import controller_section, summarise
 PERIOD_S = 0.0005
 
 
-def made(directory, wish=None, change=None, **gains):
+def made(directory, wish=None, change=None, estimator_hz=None, **gains):
     """Report of a design, or of given gains, for Table I."""
     wish = wish or Wish()
     model = change(read_model(TABLE_1)) if change else read_model(TABLE_1)
     axis = linear_axis(model, PERIOD_S)
+    if estimator_hz is not None:
+        delay_s, kt = model.delay_s.value - model.sensor_delay_s.value, axis.torque_constant_nm_per_a
+        estimator = estimator_config(estimator_hz, axis.inertia_nm_s2_per_rev, kt, delay_s, PERIOD_S, 25.0, 8.0)
+        axis = linear_axis(model, PERIOD_S, estimator)
     attraction = model.friction.attraction_nm_per_rev.value
     found = design(axis, attraction, wish)
     if gains:
@@ -112,6 +117,48 @@ def test_the_bode_figure_has_the_margins_of_the_table(report):
         at = np.flatnonzero(np.abs(loop) >= 1.0)[-1]
         assert hz[at] == pytest.approx(margins.crossover_hz, rel=1e-2)
         assert 180.0 + np.degrees(np.unwrap(np.angle(loop)))[at] == pytest.approx(margins.phase_deg, abs=0.5)
+
+
+def read_off(document, name):
+    """Crossover in Hz and phase margin in degrees, as the Bode figures draw them: the last and the worst crossing."""
+    figures = {figure.name: {one.name: one for one in figure.series} for figure in document.figures}
+    gain, phase = figures["bode-gain"][name], figures["bode-phase"][name]
+    log_hz, log_gain = np.log(gain.x), np.log(gain.y)
+    below = np.flatnonzero((log_gain[:-1] >= 0.0) & (log_gain[1:] < 0.0))
+    at = [float(np.interp(0.0, -log_gain[k : k + 2], log_hz[k : k + 2])) for k in below]
+    return np.exp(at[-1]), 180.0 + min(np.interp(at, log_hz, phase.y))
+
+
+def elastic(model):
+    """A third of the inertia on a spring."""
+    values = {"share": 0.33, "frequency_hz": 40.0, "damping": 0.1}
+    return model.model_copy(update={"effects": [effect_model("elasticity", values, {})]})
+
+
+def test_the_bode_figure_of_an_elastic_axis_has_the_margins_of_its_caption(tmp_path):
+    tuning, document = made(tmp_path, change=elastic)
+    rigid = tuning.axis._replace(elastic=RIGID)
+    kp, ki, observer_gain = tuning.gains.in_motion
+    for name, observer in (("PI", 0.0), ("PI and L", observer_gain)):
+        own, other = (loop_margins(axis, kp, ki, observer) for axis in (tuning.axis, rigid))
+        drawn = read_off(document, name)
+        assert drawn == pytest.approx((own.crossover_hz, own.phase_deg), rel=5e-3)
+        assert drawn != pytest.approx((other.crossover_hz, other.phase_deg), rel=5e-2)
+
+
+def test_the_bode_figure_of_an_estimated_velocity_has_the_crossover_of_its_caption(tmp_path):
+    tuning, document = made(tmp_path, estimator_hz=200.0)
+    for name, observer in (("PI", 0.0), ("PI and L", tuning.gains.in_motion[2])):
+        margins = loop_margins(tuning.axis, *tuning.gains.in_motion[:2], observer)
+        crossover_hz, phase_deg = read_off(document, name)
+        assert crossover_hz == pytest.approx(margins.crossover_hz, rel=5e-3)
+        assert phase_deg > margins.phase_deg - 0.2  # the margin is the smaller one of two cuts
+    captions = {figure.name: figure.caption for figure in document.figures}
+    assert "cut at the current" in captions["bode-phase"]
+
+
+def test_captions_have_numbers(report):
+    assert all("{" not in figure.caption for figure in report[1].figures)
 
 
 def test_a_spread_of_the_model_gives_the_worst_corner(tmp_path):

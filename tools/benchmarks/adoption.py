@@ -15,6 +15,7 @@ from common import ROOT, Report, finish, main, parser, passes_of, shown
 
 sys.path.insert(0, str(ROOT / "tests" / "identification"))
 
+from refit import EffectsFit, fit_effects
 from rig import PERIOD_S, TABLE_1, record
 
 from fffo_drive.config.axis import AxisFile, build_profile, session_config
@@ -23,10 +24,9 @@ from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import Profile
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, paper_plant
-from fffo_drive.evaluation.metrics import profile_rows, true_metrics
+from fffo_drive.evaluation.metrics import profile_rows, run_metrics
 from fffo_drive.identification.coordinates import MODEL_PARAMETERS, PARAMETERS
 from fffo_drive.identification.dataset import Record
-from fffo_drive.identification.effects_fit import EffectsFit, fit_effects
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.layout import EffectStart
 from fffo_drive.identification.prediction import Problem, make_problem
@@ -198,7 +198,7 @@ def driven(plant: PlantConfig, model: ModelFile, seed: int, duration_s: float) -
     with Session(drive, session_config(axis, model, profile.values.size, rows)) as session:
         session.run_profile(profile, TOGGLE_FEEDFORWARD)
         measured = RingReader(session.ring).read().rows
-    metrics = true_metrics(measured, axis.loop.period_s, profile.values.size)
+    metrics = run_metrics(measured, axis.loop.period_s, profile.values.size, "true_velocity_rps")
     given = float(np.sqrt(np.mean(profile_rows(measured, profile.values.size)["effects_nm"] ** 2)))
     share = given / model.friction.coulomb_nm.value
     return Driven(float(metrics.ise), share, effect_problems(axis, model, profile, True))

@@ -95,12 +95,13 @@ def read_identity(service: Service) -> DriveIdentity:
         product_code,
         revision,
         serial_number,
-        _read_text(service, 0x1008),
-        _read_text(service, 0x100A),
+        read_text(service, 0x1008),
+        read_text(service, 0x100A),
     )
 
 
-def _read_text(service: Service, index: int) -> str:
+def read_text(service: Service, index: int) -> str:
+    """A string of the drive; empty if it does not have the object, or refuses it."""
     try:
         return service.read(index, 0).rstrip(b"\0").decode("latin-1")
     except SdoRefusedError:

@@ -125,8 +125,8 @@ def _missing(dictionary: Any, config: CanopenDriveConfig) -> Iterator[str]:
     if supported_modes(dictionary):
         yield from check_modes(objects, config)
     yield from needs(objects, config)
-    for first, pdo in [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]:
-        yield from missing_in_pdo(dictionary, first + pdo.number - 1, pdo)
+    for pdo in (config.command, *config.answers):
+        yield from missing_in_pdo(dictionary, pdo)
 
 
 def declares_mapping(dictionary: Any) -> bool:
@@ -138,8 +138,8 @@ def declares_mapping(dictionary: Any) -> bool:
     )
 
 
-def missing_in_pdo(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
-    """Why a PDO with these communication parameters cannot be used as needed."""
+def missing_in_pdo(dictionary: Any, pdo: PdoMap) -> Iterator[str]:
+    """Why a PDO cannot carry these objects."""
     checked = declares_mapping(dictionary)
     for item in pdo.objects:
         variable = dictionary.get_variable(item.index, item.sub)

@@ -72,6 +72,12 @@ def code_text(code: int) -> str:
     return f"0x{code:04X} ({words})"
 
 
+def history_text(entry: int) -> str:
+    """An entry of 0x1003: the code in the lower half, the vendor's number in the upper one (CiA 301 7.5.2.4)."""
+    vendors = entry >> 16 & 0xFFFF
+    return code_text(entry & 0xFFFF) + (f" with 0x{vendors:04X}" if vendors else "")
+
+
 def register_text(register: int) -> str:
     """For instance 0x21 (generic, device profile)."""
     names = [name for bit, name in enumerate(REGISTER_BITS) if register >> bit & 1]
@@ -149,14 +155,12 @@ def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
 
 
 def _history(service: Service) -> list[str]:
-    """Newest entries of 0x1003: the code in the lower half, the vendor's number in the upper one (CiA 301 7.5.2.4)."""
+    """Newest entries of 0x1003."""
     entries = service.read_optional_int(ERROR_HISTORY, 0) or 0
-    found = []
-    for sub in range(1, min(entries, LONGEST_HISTORY) + 1):
-        entry = service.read_optional_int(ERROR_HISTORY, sub) or 0
-        vendors = entry >> 16 & 0xFFFF
-        found.append(code_text(entry & 0xFFFF) + (f" with 0x{vendors:04X}" if vendors else ""))
-    return found
+    return [
+        history_text(service.read_optional_int(ERROR_HISTORY, sub) or 0)
+        for sub in range(1, min(entries, LONGEST_HISTORY) + 1)
+    ]
 
 
 class WarningNews:

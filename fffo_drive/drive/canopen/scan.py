@@ -10,19 +10,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ...can import frame as can
 from ...can.frame import Frame, pack_frame, unpack_frame
 from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveError
-from .bring_up import read_identity
+from .bring_up import read_identity, read_text
 from .listening import NODE_ID_MASK, STATE_NAMES
 from .needs import DRIVE_PROFILE
-from .service import Emergency, SdoRefusedError, Service
+from .service import READ_DEVICE_TYPE, Emergency, Service
 from .service_queue import ServiceQueue
 
-READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0])  # SDO upload of 0x1000:00 (CiA 301 7.2.4.3.5)
 UPLOAD_ANSWER, ABORT = 2, 4  # command specifiers of a server
 PACE_S = 0.002  # between two requests: a CAN controller's queue holds ten frames or so
 ANSWER_S = 0.3  # after the last request
@@ -33,18 +32,6 @@ VENDORS = {
     0x0000009A: "Elmo", 0x000000AB: "Copley", 0x000000FB: "maxon", 0x000001A3: "Technosoft", 0x0000026C: "Nanotec",
     0x00000469: "Roboteq",
 }  # fmt: skip
-
-
-class NodeLink(Protocol):
-    """A link, or a scripted one in tests."""
-
-    def send(self, frame: bytes) -> None:
-        """Raises LinkError."""
-        ...
-
-    def receive(self, timeout_s: float) -> bytes | None:
-        """The next frame, or None. Raises LinkError."""
-        ...
 
 
 @dataclass
@@ -109,7 +96,7 @@ class Roll:
 
 
 def ask_every_node(
-    link: NodeLink,
+    link: Link,
     roll: Roll,
     node_ids: Iterable[int] = can.NODE_IDS,
     progress: Callable[[int], None] = lambda node_id: None,
@@ -126,7 +113,7 @@ def ask_every_node(
         raise BusUnavailableError(str(error)) from error
 
 
-def _listen(link: NodeLink, roll: Roll, duration_s: float, clock: Callable[[], float]) -> None:
+def _listen(link: Link, roll: Roll, duration_s: float, clock: Callable[[], float]) -> None:
     end_s = clock() + duration_s
     while (left_s := end_s - clock()) > 0.0:
         raw = link.receive(left_s)
@@ -189,7 +176,7 @@ def name_node(sign: Sign, open_service_link: Callable[[int], Link]) -> NodeName:
     service = open_service(open_service_link(sign.node_id), sign.node_id)
     try:
         identity = read_identity(service)
-        hardware = _text(service, 0x1009)
+        hardware = read_text(service, 0x1009)
     except BusUnavailableError:
         return NodeName(sign.node_id, sign.device_type, sign.state_name, remark="answered once, and no more")
     except DriveError as error:
@@ -205,10 +192,3 @@ def name_node(sign: Sign, open_service_link: Callable[[int], Link]) -> NodeName:
 def open_service(link: Link, node_id: int) -> Service:
     """Service traffic with a node while no loop runs."""
     return Service(link, node_id, ServiceQueue(0), NAME_TIMEOUT_S, NAME_ATTEMPTS)
-
-
-def _text(service: Service, index: int) -> str:
-    try:
-        return service.read(index, 0).rstrip(b"\0").decode("latin-1")
-    except SdoRefusedError:
-        return ""

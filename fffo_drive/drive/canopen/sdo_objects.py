@@ -45,11 +45,6 @@ class SdoObjects:
         """Unsigned, of whatever size. Raises BusUnavailableError."""
         return self._upload(index, sub)[1]
 
-    def signed(self, index: int, sub: int, bits: int) -> int | None:
-        """As `value`, for a signed object of so many bits."""
-        value = self.value(index, sub)
-        return value if value is None or value < 1 << bits - 1 else value - (1 << bits)
-
     def read_all(self, progress: Callable[[float], None] = lambda share: None) -> None:
         """Read all of WANTED; `progress` gets the fraction done."""
         for k, (index, sub) in enumerate(WANTED, 1):

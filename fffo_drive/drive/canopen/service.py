@@ -62,7 +62,7 @@ class Emergency(NamedTuple):
 
 QUIET_TRIES = 20  # unanswered requests before an error
 REQUESTS_THAT_COUNT = 2  # requests answered twice before two nodes are reported to have one id
-_READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000
+READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000:00 (CiA 301 7.2.4.3.5)
 _NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 
 
@@ -204,7 +204,7 @@ class Service:
                 if not self._answers_beyond(self._responses):
                     break
             self._requests = self._responses = 0
-            self.send_message(can.SDO_REQUEST + self.node_id, _READ_DEVICE_TYPE)
+            self.send_message(can.SDO_REQUEST + self.node_id, READ_DEVICE_TYPE)
             self._answers_beyond(1)
             while not self._client.responses.empty():
                 self._client.responses.get_nowait()

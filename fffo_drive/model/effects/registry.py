@@ -5,11 +5,11 @@ To add an effect, add its file in laws/ and a line in `NAMES`.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
+from ...documents import did_you_mean
 from ...jit.by_address import VectorKernel
 from .law import Axis, Law
 from .laws.lookup import AXIS_CODES, KNOWN_AHEAD, NO_AXIS, UNKNOWN
@@ -87,8 +87,8 @@ def name_error(name: str) -> str | None:
     """Problem with the name of an effect; None if it is valid."""
     if name.startswith(UNKNOWN):
         word = name.removeprefix(UNKNOWN)
-        return None if word in AXIS_CODES else f"no axis is called {word!r}{_suggestion(word, AXIS_CODES)}"
-    return None if name in LAWS else f"no effect is called {name!r}{_suggestion(name, LAWS)}"
+        return None if word in AXIS_CODES else f"no axis is called {word!r}: {did_you_mean(word, AXIS_CODES)}"
+    return None if name in LAWS else f"no effect is called {name!r}: {did_you_mean(name, LAWS)}"
 
 
 def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, str]]:
@@ -97,7 +97,7 @@ def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, 
     errors = []
     for key, value in values.items():
         if key not in known:
-            text = f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
+            text = f"effect {name!r} has no parameter {key!r}: {did_you_mean(key, known)}"
             errors.append((key, text))
         elif not (math.isfinite(value) and known[key].low <= value <= known[key].high):
             p = known[key]
@@ -106,9 +106,3 @@ def parameter_errors(name: str, values: Mapping[str, float]) -> list[tuple[str, 
     if missing and law_of(name).name != "lookup":
         errors.append((missing[0], f"missing: effect {name!r} needs its shape ({', '.join(missing)})"))
     return errors
-
-
-def _suggestion(word: str, known: Iterable[str]) -> str:
-    names = list(known)
-    close = difflib.get_close_matches(word, names, n=1)
-    return f" (did you mean {close[0]!r}?)" if close else f"; known: {', '.join(names)}"

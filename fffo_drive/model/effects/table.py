@@ -107,22 +107,3 @@ def effects_along(
     load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
     along_into(table, np.ascontiguousarray(motion, dtype=np.float64), load_nm, sensor_rev)
     return load_nm, sensor_rev
-
-
-def regressors(
-    name: str, shape: Mapping[str, float], motion: Floats, axis: AxisConfig, period_s: float,
-    facts: AxisFacts | None = None,
-) -> tuple[tuple[str, ...], Floats, Floats]:  # fmt: skip
-    """One strength of an effect at a time: (names (k,), torque per unit (n, k), sensor rev per unit (n, k)).
-
-    A strength without influence at this shape has a column of zeros.
-    """
-    law = law_of(name)
-    names = tuple(p.name for p in law.strengths)
-    load, sensor = np.empty((motion.shape[0], len(names))), np.empty((motion.shape[0], len(names)))
-    for k, strength in enumerate(law.strengths):
-        terms = [Term(name, {**shape, strength.name: strength.typical})]
-        found_nm, found_rev = effects_along(terms, motion, axis, period_s, facts)
-        load[:, k] = found_nm / strength.typical
-        sensor[:, k] = found_rev / strength.typical
-    return names, load, sensor

@@ -5,10 +5,10 @@ An effect is added by a kernel and one row in the `EFFECTS` of its file.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 
+from ....documents import did_you_mean
 from . import friction_effects, mechanics, odd, torque
 from .declaration import PlantEffect
 from .slots import STAGE_NAMES
@@ -32,12 +32,12 @@ def effect_errors(name: str, given: Mapping[str, float]) -> list[tuple[str, str]
     """What is wrong with a request for an effect: pairs of key (empty for the name itself) and text."""
     effect = EFFECTS.get(name)
     if effect is None:
-        return [("name", f"no effect is called {name!r}{_suggestion(name, EFFECTS)}")]
+        return [("name", f"no effect is called {name!r}: {did_you_mean(name, EFFECTS)}")]
     known = {p.name: p for p in effect.parameters}
     errors = []
     for key, value in given.items():
         if key not in known:
-            text = f"effect {name!r} has no such parameter{_suggestion(key, known)}; it has {', '.join(known)}"
+            text = f"effect {name!r} has no parameter {key!r}: {did_you_mean(key, known)}"
             errors.append((f"parameters.{key}", text))
             continue
         p = known[key]
@@ -46,11 +46,6 @@ def effect_errors(name: str, given: Mapping[str, float]) -> list[tuple[str, str]
         elif not p.low <= value <= p.high:
             errors.append((f"parameters.{key}", f"{value:g} is outside {p.low:g} to {p.high:g} {p.unit}"))
     return errors
-
-
-def _suggestion(word: str, known: Mapping[str, object]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def effect_table() -> str:

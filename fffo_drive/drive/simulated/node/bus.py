@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, pack_frame
+from ....can.frame import pack_frame
 
 NEVER = 1 << 62  # no deadline
 NS_PER_MS = 1_000_000
@@ -66,11 +66,6 @@ class Timed:
     @deadline_ns.setter
     def deadline_ns(self, value: int) -> None:
         self.bus.deadlines[self._place] = value
-
-
-def payload(frame: bytes) -> bytes:
-    """The data bytes of a frame, as many as its length says (at most 8)."""
-    return frame[DATA_OFFSET : DATA_OFFSET + min(frame[LENGTH_OFFSET], MAX_DATA)]
 
 
 def identifier(frame: bytes) -> int:

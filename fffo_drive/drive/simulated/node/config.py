@@ -13,7 +13,7 @@ from .faults import Fault
 from .foreign_dictionary import ForeignDictionary, derived_modes, entries_of, personality_problems
 from .objects import DEVICE_TYPE, WAITS_FOR_MASTER
 from .personality import Personality
-from .plant_port import Ratings
+from .ratings import Ratings
 
 PERMILLE = 1000.0
 

@@ -7,7 +7,7 @@ latch the feedback, apply the buffered RPDOs, compute the command, queue the TPD
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ....can.frame import (
     ERROR_BUS_OFF,
@@ -36,13 +36,15 @@ from .inbox import Box
 from .lss import REQUEST_ID, LssSlave
 from .nmt import UNCONFIGURED, NmtSlave, NmtState
 from .objects import WAITS_FOR_MASTER
-from .plant_port import PlantPort
 from .rpdo import Rpdo
 from .sdo_server import SdoServer
 from .storage import Storage
 from .sync import STATISTICS, SyncConsumer
 from .sync_producer import SyncProducer
 from .tpdo import Tpdo
+
+if TYPE_CHECKING:
+    from .simulated_plant import SimulatedPlant
 
 ERROR_BEHAVIOUR = 0x1029
 PLANT_PERIOD_NS = 10 * NS_PER_MS  # the plant is never further behind than this
@@ -64,7 +66,7 @@ class NodeService(Protocol):
 class Node:
     """One CANopen node with a plant below it. Call `start`, then `handle` and `poll` with rising times."""
 
-    def __init__(self, config: NodeConfig, plant: PlantPort) -> None:
+    def __init__(self, config: NodeConfig, plant: SimulatedPlant) -> None:
         self.config = config
         self.bus = bus = Bus()
         self._plant_due = Timed(bus)

@@ -8,6 +8,7 @@ the power stage carries current only while the drive brakes (quick stop, fault r
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ....units import S_PER_MIN
 from .. import cia402_device as cia402
@@ -28,9 +29,12 @@ from .emcy import (
 )
 from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
 from .personality import Personality
-from .plant_port import PlantPort, Ratings
+from .ratings import Ratings
 from .scales import NodeScales
 from .setpoint import Setpoint
+
+if TYPE_CHECKING:
+    from .simulated_plant import SimulatedPlant
 
 ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD = 0x6007, 0x603F, 0x6040, 0x6041
 QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, HALT_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605D, 0x605E
@@ -61,7 +65,7 @@ class NodeDrive:
         bus: Bus,
         od: ObjectDictionary,
         emergency: EmergencyProducer,
-        plant: PlantPort,
+        plant: SimulatedPlant,
         ratings: Ratings,
         personality: Personality,
     ) -> None:

@@ -15,7 +15,7 @@ from .tpdo import Tpdo
 
 
 class FaultTarget:
-    """The parts of a node on which faults act. `faults.Device` says what each method does."""
+    """The parts of a node on which faults act."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class FaultTarget:
         self._on_bus_off = on_bus_off
 
     def can_ids_of(self, kind: FaultKind) -> frozenset[int] | None:
-        """Identifiers that a fault without one of its own concerns; None: all."""
+        """Identifiers that a fault without one of its own concerns at present; None: all."""
         if kind is FaultKind.NO_SYNC_ANSWER:
             return frozenset(t.parameters.can_id for t in self.tpdos if t.synchronous or t.acyclic)
         if kind is FaultKind.NO_RPDO:
@@ -42,7 +42,7 @@ class FaultTarget:
         return None
 
     def hold_condition(self, code: int, present: bool) -> None:
-        """The drive finds the condition by itself at its next supervision."""
+        """Hold a fault condition of the drive, or release it; the drive finds it at its next supervision."""
         if present:
             self.drive.injected.add(code)
         else:
@@ -53,23 +53,23 @@ class FaultTarget:
         self.drive.stuck = stuck
 
     def lose_resolver(self, lost: bool, jump_rev: float) -> None:
-        """To the plant."""
+        """Take the resolver's signal away, or give it back."""
         self.drive.plant.lose_resolver(lost, jump_rev)
 
     def lose_dc_link(self, lost: bool) -> None:
-        """To the plant."""
+        """Take the supply away, or give it back."""
         self.drive.plant.lose_dc_link(lost)
 
     def power_down(self) -> None:
-        """No torque, no memory; the injector keeps the bus silent."""
+        """The electronics die: no torque, no memory; the shaft goes on, and the injector keeps the bus silent."""
         self.drive.restart()
 
     def power_up(self) -> None:
-        """Boot."""
+        """The node boots."""
         self.nmt.reset(whole_node=True)
 
     def bus_off(self, present: bool) -> None:
-        """Report it as a CAN controller reports it to its host; the node then acts as at a bus-off of its own."""
+        """Report leaving the bus, or coming back, as a CAN controller does; the node then acts as at one of its own."""
         error_class = ERROR_BUS_OFF if present else ERROR_RESTARTED
         self.bus.outbox.append(pack_frame(error_class, bytes(MAX_DATA), error=True))
         if present:

@@ -12,7 +12,7 @@ import heapq
 import random
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from ....units import NS_PER_S
 from ..ranges import key, required_note
@@ -21,6 +21,9 @@ from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
 from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, EmergencyProducer
 from .fault_wire import FaultyWire, WireEffect, WireRule
+
+if TYPE_CHECKING:
+    from .fault_target import FaultTarget
 
 INJECTION = 0x2100
 TRIGGER_INJECT, TRIGGER_CLEAR = 1, 2
@@ -91,42 +94,6 @@ class Fault:
     rate_hz: float = key(100.0, "Hz", 0.1, 10_000.0, "of an EMCY storm")
 
 
-class Device(Protocol):
-    """The node as the injector acts on it."""
-
-    def can_ids_of(self, kind: FaultKind) -> frozenset[int] | None:
-        """Identifiers that NO_SYNC_ANSWER, NO_HEARTBEAT and NO_RPDO concern at present; None of other kinds: all."""
-        ...
-
-    def hold_condition(self, code: int, present: bool) -> None:
-        """Hold a fault condition of the drive, or release it."""
-        ...
-
-    def stick_statusword(self, stuck: bool) -> None:
-        """Freeze the statusword."""
-        ...
-
-    def lose_resolver(self, lost: bool, jump_rev: float) -> None:
-        """Take the resolver's signal away, or give it back."""
-        ...
-
-    def lose_dc_link(self, lost: bool) -> None:
-        """Take the supply away, or give it back."""
-        ...
-
-    def power_down(self) -> None:
-        """The electronics die; the shaft goes on."""
-        ...
-
-    def power_up(self) -> None:
-        """The node boots."""
-        ...
-
-    def bus_off(self, present: bool) -> None:
-        """The CAN controller left the bus, or came back."""
-        ...
-
-
 class FaultInjector(Timed):
     """Starts and ends faults at their times. While `dark`, no frame passes."""
 
@@ -135,7 +102,7 @@ class FaultInjector(Timed):
         bus: Bus,
         od: ObjectDictionary,
         emergency: EmergencyProducer,
-        device: Device,
+        device: FaultTarget,
         schedule: tuple[Fault, ...],
         seed: int,
     ) -> None:

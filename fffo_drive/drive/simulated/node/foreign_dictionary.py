@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from .dictionary import REAL_TYPES, SIGNED_TYPES, STRUCT_CODES, DataType, Entry, ObjectDictionary, Value, type_range
 from .objects import ABSENT, ENTRIES, OWN_OBJECTS, PDO_OBJECTS
 from .personality import Personality, named
+
+if TYPE_CHECKING:
+    from .config import NodeConfig
 
 ABORT_CONNECTION = 0x6007
 _TARGET_TYPES = {8: DataType.INTEGER8, 16: DataType.INTEGER16, 32: DataType.INTEGER32}
@@ -51,30 +54,16 @@ class ForeignDictionary:
                 yield entry, f"is {entry.data_type.name}; CiA 301 and 402 have {own.data_type.name}"
 
 
-class DictionaryConfig(Protocol):
-    """The part of a configuration that concerns the dictionary."""
-
-    @property
-    def dictionary(self) -> ForeignDictionary | None:
-        """None: the node's own."""
-        ...
-
-    @property
-    def personality(self) -> Personality:
-        """Deviations, with the objects that have other values."""
-        ...
-
-
-def entries_of(config: DictionaryConfig) -> tuple[Entry, ...]:
+def entries_of(config: NodeConfig) -> tuple[Entry, ...]:
     """The objects of the drive, its own or those of another one, with the deviations of its personality."""
     return tuple(_characterised(_declared(config), config.personality))
 
 
-def _declared(config: DictionaryConfig) -> tuple[Entry, ...]:
+def _declared(config: NodeConfig) -> tuple[Entry, ...]:
     return ENTRIES if config.dictionary is None else config.dictionary.entries
 
 
-def dictionary_of(config: DictionaryConfig, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
+def dictionary_of(config: NodeConfig, node_id: int, defaults: Mapping[int, Value]) -> ObjectDictionary:
     """The object dictionary of the drive. `defaults`: of objects without one."""
     entries = entries_of(config)
     if config.dictionary is None:
@@ -94,7 +83,7 @@ def derived_modes(entries: Iterable[Entry], personality: Personality) -> int:
     return bits | 1 << 15 - personality.vendor_mode if -16 <= personality.vendor_mode < 0 else bits
 
 
-def personality_problems(config: DictionaryConfig) -> Iterator[tuple[str, str]]:
+def personality_problems(config: NodeConfig) -> Iterator[tuple[str, str]]:
     """Errors in the objects that the personality names: pairs of key and text."""
     personality = config.personality
     target = personality.vendor_target

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ....can.frame import RPDO1, SDO_REQUEST, SYNC, pack_frame
 from ....can.link import Link, LinkError
@@ -37,14 +37,6 @@ RETRY_S = 0.01  # while the interface is down
 DROPS_EVERY_NS = NS_PER_S
 _RLIMIT_RTTIME = 15  # linux/resource.h; the module has no name for it
 _SCHED_RESET_ON_FORK = 0x40000000
-
-
-class StopSignal(Protocol):
-    """Such as threading.Event."""
-
-    def is_set(self) -> bool:
-        """Time to end."""
-        ...
 
 
 class NodeSummary(NamedTuple):
@@ -74,7 +66,7 @@ def stop_on_signals() -> threading.Event:
     return stop
 
 
-def run_node(config: NodeConfig, link: Link, stop: StopSignal) -> NodeSummary:
+def run_node(config: NodeConfig, link: Link, stop: threading.Event) -> NodeSummary:
     """Run the node on `link` until `stop` is set. Prints a line when it is ready and one when it ends.
 
     Raises PlantConfigError for a configuration that makes no drive.
@@ -129,7 +121,7 @@ class _Shell:
         self._started_ns = self._drops_ns = time.monotonic_ns()
         self._send(self.node.start(self._started_ns))
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: threading.Event) -> None:
         """Until `stop`; looks at it at least every 10 ms."""
         node, inbox = self.node, self._inbox
         while not stop.is_set():

@@ -15,7 +15,7 @@ from ....units import PERMILLE
 from .abort import Abort, SdoAbortError
 from .dictionary import ObjectDictionary
 from .personality import Personality
-from .plant_port import Ratings
+from .ratings import Ratings
 
 RATED_CURRENT, RATED_TORQUE, POLARITY = 0x6075, 0x6076, 0x607E
 ENCODER, VELOCITY_ENCODER, GEAR, FEED = 0x608F, 0x6090, 0x6091, 0x6092

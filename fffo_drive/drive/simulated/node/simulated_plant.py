@@ -1,4 +1,4 @@
-"""The simulated plant behind the node's `PlantPort`: follows the node's clock in sub-steps of 1/22 kHz.
+"""The machine as the drive's firmware sees it, simulated: follows the node's clock in sub-steps of 1/22 kHz.
 
 Of a pause of the process longer than `LONGEST_CATCH_UP_NS` the rest is not simulated: the plant stands still.
 """
@@ -36,7 +36,7 @@ def _catch_up(
 
 
 class SimulatedPlant:
-    """See `PlantPort` for the members. Compiled on construction."""
+    """Motor, current loop and resolver. The power stage is off where `current_a` is 0. Compiled on construction."""
 
     def __init__(self, config: PlantConfig) -> None:
         self.config = config
@@ -52,13 +52,13 @@ class SimulatedPlant:
         self._time_ns = 0
         self._skipped_ns = 0
         self.dc_link_v = self._supply_v
-        self.counts, self.velocity_rps, self.current_a = 0, 0.0, 0.0
-        self.limited = False
+        self.counts, self.velocity_rps, self.current_a = 0, 0.0, 0.0  # as measured
+        self.limited = False  # current or voltage met a limit during the last `advance`
         self.advance(0, 0.0)
 
     @property
     def temperature_k(self) -> float:
-        """Rise above the surroundings."""
+        """Of the motor, above the surroundings."""
         return float(self._state.values[at.TEMPERATURE_K])
 
     @property
@@ -67,7 +67,7 @@ class SimulatedPlant:
         return float(self._state.values[at.VELOCITY_RPS])
 
     def advance(self, until_ns: int, current_a: float) -> None:
-        """Advance to `until_ns` with this command, then measure."""
+        """Advance to `until_ns` (since the start) with this command, then measure."""
         pause_ns = until_ns - self._time_ns - LONGEST_CATCH_UP_NS
         if pause_ns > 0:
             self._skipped_ns += pause_ns
@@ -82,7 +82,7 @@ class SimulatedPlant:
             self.velocity_rps = velocity_rps
 
     def lose_resolver(self, lost: bool, jump_rev: float) -> None:
-        """Without a signal the angle is the last one plus the jump; the jump stays."""
+        """Without a signal the angle is the last one plus the jump; the jump stays when the signal comes back."""
         self._sensed = not lost
         if lost:
             jump = math.floor(jump_rev * self._counts_per_rev)
@@ -91,7 +91,7 @@ class SimulatedPlant:
             self.velocity_rps = 0.0
 
     def hold(self, held: bool) -> None:
-        """Nothing moves a held shaft."""
+        """Close (at once, even on a turning shaft) or open the holding brake: nothing moves a held shaft."""
         numbers = self._parameters.numbers
         if held:
             self._state.values[at.VELOCITY_RPS] = 0.0
