@@ -194,8 +194,8 @@ def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> t
     """The same axis at rest, on its contact as soft and as stiff as it may be.
 
     Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Contacts follow other laws: one whose stiffness does not depend
-    on the level, as LuGre's, and that carries Fs before it breaks away, is as stiff as Fs K + B. Over the travel that is
-    held, none is stiffer than the secant of Fs; where 1/K is less than the position shows, a fit knows no more than that.
+    on the level, as LuGre's, and that carries Fs before it breaks away, is as stiff as Fs K + B. Over the travel that
+    is held, none is stiffer than the secant of Fs; where 1/K is less than the position shows, a fit knows no more.
     """
     friction = model.friction_config()
     least_nm, most_nm = sorted((friction.coulomb_nm, friction.static_nm))
