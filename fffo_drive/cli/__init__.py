@@ -56,8 +56,8 @@ def build_parser() -> argparse.ArgumentParser:
         prog="fffo-drive",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit codes: 0 done, 1 refused or failed a check, 2 wrong usage, 65 a diagnosis that held-out runs do not "
-        "confirm, 69 bus unavailable, 70 drive fault, 74 disk error, 77 real-time rights refused, 78 bad input, "
+        epilog="exit codes: 0 done, 1 refused or failed a check, 2 wrong usage, 65 a diagnosis that held-out runs do "
+        "not confirm, 69 bus unavailable, 70 drive fault, 74 disk error, 77 real-time rights refused, 78 bad input, "
         "130 interrupted",
     )
     parser.add_argument("--version", action="version", version=f"fffo-drive {__version__}")
