@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..recording.errors import RecordingError, did_you_mean
+from ..documents import did_you_mean
+from ..recording.errors import RecordingError
 from ..signals import REFERENCE_POSITION
 from .evidence import (
     Wrap,

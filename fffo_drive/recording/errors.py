@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from ..documents import did_you_mean as did_you_mean
-
 
 class RecordingError(Exception):
     """A recording or table is invalid. A torn file is not an error: its complete part is read."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import yaml
 from pydantic import Field
 
-from ..documents import DocumentError, StrictRecord, check, parse, read_text, refuse
+from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import DataError, distinct_names, load_record, one_rate
@@ -19,7 +19,7 @@ from ..importing.read import read_source
 from ..importing.recognise import RECOGNISED, Guess, Hints, Recognition, recognise
 from ..importing.source import Source
 from ..importing.units import UNITS, unit_of
-from ..recording.errors import RecordingError, did_you_mean
+from ..recording.errors import RecordingError
 
 MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
