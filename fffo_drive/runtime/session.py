@@ -50,6 +50,8 @@ from .records import WORD_KINDS, ModelNote, Unnumbered
 from .ring import HEAD, Ring, copy_row, new_ring
 from .tick import LoopConfig
 
+_COMPILING = threading.Lock()  # one dispatcher for all sessions of a process: one must not disable it for another
+
 START_AHEAD_NS = 20_000_000  # first deadline after the thread is ready
 STOP_TIMEOUT_S = 10.0  # for the loop's thread, which normally ends within two periods
 
@@ -214,9 +216,10 @@ class Session:
             return
         leave_out_linear_algebra()
         dispatcher: Any = run_loop
-        dispatcher.disable_compile(False)
-        dispatcher.compile(tuple(typeof(argument) for argument in self._arguments(0)))
-        dispatcher.disable_compile()
+        with _COMPILING:
+            dispatcher.disable_compile(False)
+            dispatcher.compile(tuple(typeof(argument) for argument in self._arguments(0)))
+            dispatcher.disable_compile()
 
     def run_profile(self, profile: Profile, toggle: int) -> int:
         """Enable, run the profile to its end or to a trip, disable. For a simulated clock. Return ticks run."""
