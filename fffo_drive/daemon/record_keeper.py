@@ -168,7 +168,7 @@ class RecordKeeper:
         return ""
 
     def failure(self) -> str:
-        """Why what should be recorded is not recorded now; empty if it is, or nothing should be."""
+        """Why the recording that is wanted fails now; empty if it does not, or none is wanted."""
         recorder = self._recorder
         if recorder is None or not recorder.alive:
             return self.trouble()

@@ -23,7 +23,7 @@ def bound(path: Path, mode: int) -> socket.socket:
     Raises SocketTakenError, OSError.
     """
     if path.exists() and not path.is_socket():
-        raise OSError(errno.EEXIST, "is in the place of a socket and is none; move it away", str(path))
+        raise OSError(errno.EEXIST, "is not a socket, and the daemon needs its place; move it away", str(path))
     if path.is_socket():
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.settimeout(1.0)

@@ -277,7 +277,7 @@ class Supervisor:
         self.apply(StateEvent.FORBIDDEN if self.obstacles else StateEvent.PERMITTED)
 
     def _forbidden(self) -> list[str]:
-        """Reasons from commissioning and recording why the axis may not be enabled."""
+        """Why commissioning or recording does not permit the axis to be enabled."""
         found = [] if self._permission is not None else [self._forbidding]
         if self.plan.axis.daemon.record_required and (failure := self.recorder.failure()):
             found.append(f"daemon.record_required: {failure}")

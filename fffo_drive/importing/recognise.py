@@ -209,7 +209,7 @@ class _Recogniser:
         steps = np.abs(np.diff(found.values[np.isfinite(found.values)]))
         if not float(np.mean(steps > 0.0) if steps.size else 0.0) > LEAST_STEPPING:
             raise RecordingError(
-                f"{self.source.path}: column {found.name!r} does not move on in most rows: the stamps are rounded: "
+                f"{self.source.path}: column {found.name!r} repeats in most rows, the stamps are rounded: "
                 "give --rate HZ"
             )
         step = float(np.median(steps))
@@ -586,5 +586,5 @@ def _said_of(wrap: Wrap) -> str:
     """What the jumps of a position mean, in words."""
     if wrap.sure:
         return f"wraps at {wrap.at:.6g}, unwrapped"
-    meant = "no turn and no range that is known" if wrap.at is None else f"unwrapped at {wrap.at:.6g} by assumption"
+    meant = "neither a turn nor a known range" if wrap.at is None else f"unwrapped at {wrap.at:.6g} by assumption"
     return f"jumps by {wrap.jump:.6g}, {meant} (--counts-per-turn N, --unit COLUMN=UNIT)"

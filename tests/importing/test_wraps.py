@@ -83,7 +83,7 @@ def test_a_jump_that_is_no_wrap_stays_and_is_uncertain():
     found, columns = imported(log_of(counts), counts_per_turn=4096.0)
     guess = found.of("position_rev")
     assert (guess.wrap, guess.sure) == (None, False)
-    assert "no turn and no range that is known" in guess.evidence
+    assert "neither a turn nor a known range" in guess.evidence
     np.testing.assert_allclose(columns["position_rev"] * 4096.0, counts, atol=1e-6)
 
 
