@@ -55,7 +55,7 @@ class EffectsWatch:
             return
         connection.session.request(b.EFFECTS, self.wanted)
         if self._monitor is not None:
-            self._reader = RingReader(connection.session.ring, from_now=True)
+            self._reader = RingReader(connection.session.ring, newest=0)
 
     @property
     def wanted(self) -> int:

@@ -122,7 +122,7 @@ class Feed:
         self._number = source.number
         self._rate_hz = source.rate_hz
         self._wall_offset_ns = wall_clock_offset_ns()
-        self._reader = RingReader(source.ring, from_now=True)
+        self._reader = RingReader(source.ring, newest=0)
         self._decimator = Decimator(bin_ticks_of(source.rate_hz))
         self._capture = Capture(round(KEPT_S * source.rate_hz))
 

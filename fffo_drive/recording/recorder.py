@@ -28,7 +28,7 @@ EVENT_QUEUE = 4096  # events kept while no file is open; older ones are counted 
 class Recorder:
     """Records a ring into `path` (NAME.mcap, and NAME_002.mcap ... after rotation or an error).
 
-    It begins with the oldest row of the ring or, `from_now`, with the next. The first file is opened here, so
+    It begins with the oldest row of the ring or, `from_now`, with the newest. The first file is opened here, so
     that a path that cannot be written raises OSError before anything moves. Then either `start` and `stop`
     the thread, or call `drain_once` and `close`, never both at a time. `records`: of the session that writes the ring.
     """
@@ -48,7 +48,8 @@ class Recorder:
         self._book = records
         # subscribed before the first row is read: records named by that row are in force, or follow
         in_force = records.listen(self._records.append) if records is not None else []
-        self._reader = RingReader(ring, from_now)
+        # the newest row shows the state before anything that is asked for from now on: a replay of that needs it
+        self._reader = RingReader(ring, newest=1 if from_now else None)
         self._settings = settings or RecorderSettings()
         self._hooks = hooks or RecorderHooks()
         self._offset_ns = (header or RunHeader()).time_offset_ns

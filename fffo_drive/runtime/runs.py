@@ -184,7 +184,7 @@ def _watch(
 
     if monitor is None:
         return listen
-    reader = RingReader(session.ring, from_now=True)
+    reader = RingReader(session.ring, newest=0)
     session.request(b.EFFECTS, monitor.effects)
 
     def look() -> None:

@@ -69,7 +69,7 @@ def within_bounds(rows, acceleration=A):
 
 
 def test_velocities_and_steps_that_nobody_knew_before(rig, client):
-    client.call("disable")
+    client.call("disable", wait_s=30)
     client.call("record", to="on")
     client.call("enable")
     answer = client.call("velocity", to_rps=3)

@@ -385,5 +385,5 @@ def test_from_now_leaves_older_rows_out(tmp_path):
     recorder = Recorder(ring, tmp_path / "a.mcap", HEADER, from_now=True)
     ring.push(ROWS[40:50])
     statistics = recorder.close()
-    assert (statistics.rows_written, statistics.rows_lost) == (10, 0)
-    assert same_bits(read_run(tmp_path / "a.mcap").rows, ROWS[40:50])
+    assert (statistics.rows_written, statistics.rows_lost) == (11, 0)
+    assert same_bits(read_run(tmp_path / "a.mcap").rows, ROWS[39:50])  # with the row before

@@ -58,13 +58,14 @@ def test_rows_overwritten_while_they_are_copied_are_not_delivered(during, waitin
     assert rest.rows["tick"].tolist() == list(range(max(waiting, waiting + during - 15), waiting + during))
 
 
-def test_beginning_with_the_next_row():
+@pytest.mark.parametrize("newest", [0, 1])
+@pytest.mark.parametrize("written", [0, 1, 20])
+def test_beginning_with_the_newest_rows(written, newest):
     ring = FakeRing(8)
-    ring.push(ROWS[:20])
-    reader = RingReader(ring, from_now=True)
-    assert reader.read().rows.size == 0
-    ring.push(ROWS[20:23])
-    assert reader.read().rows["tick"].tolist() == [20, 21, 22]
+    ring.push(ROWS[:written])
+    reader = RingReader(ring, newest=newest)
+    ring.push(ROWS[written : written + 3])
+    assert reader.read().rows["tick"].tolist() == list(range(max(written - newest, 0), written + 3))
     assert reader.rows_lost == 0
 
 
