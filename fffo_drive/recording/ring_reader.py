@@ -56,7 +56,8 @@ class RingReader:
         # as plain bytes: NumPy copies structured rows field by field, forty times slower
         self._slots = ring.rows.view(f"V{ring.rows.dtype.itemsize}")
         head = int(_head(self._words))  # compiled here, not beside the running loop
-        self.tail = 0 if newest is None else max(head - newest, 0)  # rows before this one are read, lost or older than this reader
+        # rows before this one are read, lost or older than this reader
+        self.tail = 0 if newest is None else max(head - newest, 0)
         self.rows_read = 0
         self.rows_lost = 0
 
