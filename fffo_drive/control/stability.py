@@ -190,17 +190,21 @@ def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorC
     )
 
 
-def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, ...]:
-    """The same axis at rest, on its contact as stiff and as soft as a hold of the position meets it.
+def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, LinearAxis]:
+    """The same axis at rest, on its contact as soft and as stiff as it may be.
 
-    Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Over the travel that is held, no contact is stiffer than the
-    secant of Fs; where the travel 1/K is less than the position can show, a fit knows no more than that.
+    Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Contacts follow other laws: one whose stiffness does not depend
+    on the level, as LuGre's, and that carries Fs before it breaks away, is as stiff as Fs K + B. Over the travel that
+    is held, none is stiffer than the secant of Fs; where 1/K is less than the position shows, a fit knows no more.
     """
     friction = model.friction_config()
-    stiff = friction.coulomb_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
-    soft = friction.static_nm / held_travel_rev(friction.stiffness_per_rev, dead_band_rev)
-    stiffnesses = (stiff, soft) if soft < stiff else (stiff,)
-    return tuple(sliding._replace(contact_nm_per_rev=stiffness) for stiffness in stiffnesses)
+    least_nm, most_nm = sorted((friction.coulomb_nm, friction.static_nm))
+    soft = min(
+        least_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev,
+        friction.static_nm / held_travel_rev(friction.stiffness_per_rev, dead_band_rev),
+    )
+    stiff = most_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
+    return sliding._replace(contact_nm_per_rev=soft), sliding._replace(contact_nm_per_rev=stiff)
 
 
 def stick_slip_rps(

@@ -44,8 +44,10 @@ def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per
     ])  # fmt: skip
 
 
-def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False) -> Coordinates:
-    """Coordinates around a start. `free`: the fitted parameters; the others are held."""
+def coordinates(
+    physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False, most_static_nm: float = math.inf
+) -> Coordinates:  # fmt: skip
+    """Coordinates around a start. `free`: the fitted parameters; the others are held. `most_static_nm` bounds Fs."""
     names = PARAMETERS
     torque_nm = float(physical[names.index("coulomb_nm")])
     scale = np.ones(len(names))
@@ -62,6 +64,8 @@ def coordinates(physical: Floats, period_s: float, free: tuple[str, ...], rising
     ):
         k = names.index(name)
         low[k], high[k] = bounds[0] / scale[k], bounds[1] / scale[k]
+    static = names.index("static_nm")
+    high[static] = max(values[static], min(high[static], math.log(most_static_nm)))
     for k, name in enumerate(names):
         if name not in free:
             low[k] = high[k] = values[k]

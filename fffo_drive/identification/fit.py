@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -44,6 +45,9 @@ LAG_RATIOS = (2.0, 8.0, 25.0)  # Fs/B at the start, in multiples of 1/K
 STARTS = 2
 START_S = 25.0  # of each record, to choose among the starts
 START_ITERATIONS = 6
+# Fs over the largest friction torque that acted in the logs; beyond it Fs is an extrapolation to speeds that were not
+# run (tools/benchmarks/results/static_friction.md)
+MOST_STATIC = 1.5
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
 OFFSET = "torque_offset"  # the effect that the kernels have a parameter of their own for
@@ -112,7 +116,8 @@ def fit_records(
     first = start_vector(start, 1.0, 1.0)
     first[OFFSET_PLACE] = sum(effect.values["torque_nm"] for effect in offsets)
     layout = layout_of([effect for effect in effects if effect.name != OFFSET], scales_of(problem, first))
-    frame = _Frame((*MODEL_PARAMETERS, NUISANCES[0], *(NUISANCES[1:] if offsets else ())), layout)
+    free = (*MODEL_PARAMETERS, NUISANCES[0], *(NUISANCES[1:] if offsets else ()))
+    frame = _Frame(free, layout, MOST_STATIC * start.most_friction_nm)
     tell(0.1, "starts")
     physical = _best_start(records, start, first[OFFSET_PLACE], bandwidth_hz, frame, settings.starts)
     problem = frame.of(problem)
@@ -152,6 +157,7 @@ class _Frame(NamedTuple):
 
     free: tuple[str, ...]
     layout: EffectLayout
+    most_static_nm: float
 
     def of(self, problem: Problem) -> Problem:
         """A problem with the effects; unchanged without effects."""
@@ -163,7 +169,8 @@ class _Frame(NamedTuple):
 
     def space(self, physical: Floats, period_s: float, rising: bool = False) -> Coordinates:
         """Coordinates around a vector."""
-        base = coordinates(physical[: len(PARAMETERS)], period_s, self.free, rising)
+        most_nm = math.inf if rising else self.most_static_nm  # there Fs is the level of high speeds
+        base = coordinates(physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm)
         return joint_coordinates(base, self.layout) if self.layout.parameters else base
 
 
@@ -298,7 +305,10 @@ def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_
     for k, name in enumerate(space.names):
         if space.high[k] > space.low[k] and not space.low[k] < solution.values[k] < space.high[k]:
             symbol = SYMBOLS[name].symbol if name in SYMBOLS else name  # of an effect: effect.parameter
-            found.append(f"{symbol} stands at a bound of the fit: the data contradict this part of the model")
+            why = "the data contradict this part of the model"
+            if name == "static_nm" and not space.rising and solution.values[k] >= space.high[k]:
+                why = f"{MOST_STATIC:g} times what acted in the logs. They have too few slow speeds to determine Fs"
+            found.append(f"{symbol} stands at a bound of the fit: {why}")
     values = dict(zip(space.names, solution.values, strict=True))
     if "static_nm" in values and values["static_nm"] == values["coulomb_nm"]:
         found.append(

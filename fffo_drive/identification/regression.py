@@ -7,6 +7,7 @@ Linear in J, sigma, Fc, Fs - Fc and the constant; Td, Vs and delta are scanned, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ class TorqueStart(NamedTuple):
     rows: int
     sliding_travel_rev: float
     constant_nm: float  # 0 if the axis turns one way only
+    most_friction_nm: float = math.inf  # that acted in the logs, stuck or sliding, without its viscous part
 
 
 def _solve(rows: RegressionRows, bump: Floats | None = None) -> tuple[Floats, float]:
@@ -95,12 +97,15 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
     cost, velocity, exponent = best[:3]
     inertia, viscous, coulomb, excess, constant = (float(value) for value in best[3])
     energy = float(torque_nm @ torque_nm)
-    coulomb = max(float(coulomb), 1e-3 * float(np.abs(torque_nm).mean()))
+    coulomb = max(coulomb, 1e-3 * float(np.abs(torque_nm).mean()))
+    viscous = max(viscous, 1e-3 * coulomb / high)
+    static = coulomb + min(max(excess, 0.02 * coulomb), 6.0 * coulomb)
+    friction = rows.torque_nm - inertia * rows.acceleration_rps2 - viscous * rows.velocity_rps - constant
     return TorqueStart(
-        float(inertia),
-        max(float(viscous), 1e-3 * coulomb / high),
+        inertia,
+        viscous,
         coulomb,
-        coulomb + min(max(float(excess), 0.02 * coulomb), 6.0 * coulomb),
+        static,
         velocity,
         exponent,
         delay_s,
@@ -108,6 +113,7 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
         torque_nm.size,
         travel_rev,
         constant,
+        max(static, float(np.abs(friction).max())),
     )
 
 

@@ -65,12 +65,19 @@ def test_a_stuck_contact_is_a_spring_and_its_margin_is_known():
 
 
 @pytest.mark.parametrize(("stiffness_per_rev", "stiffer_than_seen"), [(500.0, False), (1e5, True)])
-def test_a_held_contact_is_no_stiffer_than_its_position_can_show(stiffness_per_rev, stiffer_than_seen):
-    model = with_friction(stiffness_per_rev=stiffness_per_rev)
+def test_a_contact_at_rest_is_between_its_levels_and_a_held_one_no_stiffer_than_its_position_shows(
+    stiffness_per_rev, stiffer_than_seen
+):
+    coulomb_nm = with_friction().friction_config().coulomb_nm
+    model = with_friction(stiffness_per_rev=stiffness_per_rev, static_nm=3.0 * coulomb_nm)
     friction = model.friction_config()
-    fitted = friction.coulomb_nm * stiffness_per_rev + friction.attraction_nm_per_rev
-    expected = [fitted, friction.static_nm / (32.0 * 2.0**-15)] if stiffer_than_seen else [fitted]
-    assert [axis.contact_nm_per_rev for axis in stuck_axes(PAPER, model, 2.0**-15)] == expected
+    at_coulomb, at_static = (
+        level_nm * stiffness_per_rev + friction.attraction_nm_per_rev
+        for level_nm in (friction.coulomb_nm, friction.static_nm)
+    )
+    softest = friction.static_nm / (32.0 * 2.0**-15) if stiffer_than_seen else at_coulomb
+    found = [axis.contact_nm_per_rev for axis in stuck_axes(PAPER, model, 2.0**-15)]
+    assert found == pytest.approx([softest, at_static], rel=1e-12)
 
 
 def test_stick_slip_begins_where_the_stribeck_curve_falls_faster_than_kp_holds():
