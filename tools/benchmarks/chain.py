@@ -58,6 +58,7 @@ from fffo_drive.workflows.tune import tune
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
 FRESH = 3000  # no choice was made on axes from here on
 TORQUE_CONSTANT_SHARE = 0.05  # by which the data sheet is wrong, with a random sign
+RATED_A = 8.3
 CHIRP_S = 40.0
 CHIRP_A = (0.3, 1.1)  # with the torque constant of the nominal axis
 SWEEP_S, SWEEP_A, SWEEP_HZ = 30.0, 0.8, (0.1, 50.0)  # what determines the delay
@@ -141,15 +142,24 @@ def excite(case: Case, profile: Profile, controller: ControllerConfig, constant_
     )  # fmt: skip
 
 
-def identified(case: Case, number: int, controller: ControllerConfig, constant_nm_per_a: float) -> ModelFile:
-    """The model of the axis, from the paper's two chirps of current."""
+def excitations(case: Case, controller: ControllerConfig, constant_nm_per_a: float) -> list[Record]:
+    """Runs of the paper's two chirps of current."""
     scale = 0.148 / constant_nm_per_a
     period_s = case.session.loop.period_ns * 1e-9
     chirp = identification_sequence(CHIRP_S, period_s, scale * CHIRP_A[0], scale * CHIRP_A[1], 0.01, 10.0)
     fast = frequency_response_chirp(SWEEP_S, period_s, scale * SWEEP_A, *SWEEP_HZ)
-    records = [excite(case, profile, controller, constant_nm_per_a) for profile in (chirp, fast)]
-    facts = DriveFacts(torque_constant_nm_per_a=constant_nm_per_a, rated_current_a=8.3)
-    fit = fit_records(records, FitSettings(compare_literal=False), facts)
+    return [excite(case, profile, controller, constant_nm_per_a) for profile in (chirp, fast)]
+
+
+def facts_of(constant_nm_per_a: float) -> DriveFacts:
+    """What the name plate says."""
+    return DriveFacts(torque_constant_nm_per_a=constant_nm_per_a, rated_current_a=RATED_A)
+
+
+def identified(case: Case, number: int, controller: ControllerConfig, constant_nm_per_a: float) -> ModelFile:
+    """The model of the axis, from these runs."""
+    records = excitations(case, controller, constant_nm_per_a)
+    fit = fit_records(records, FitSettings(compare_literal=False), facts_of(constant_nm_per_a))
     return model_file(fit, records, f"axis {number}")
 
 
