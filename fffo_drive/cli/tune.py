@@ -40,24 +40,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bandwidth-hz",
         type=float,
+        metavar="HZ",
         help="target crossover frequency (default: where integral action is largest within the margins)",
     )
     parser.add_argument(
         "--damping-ratio",
         type=float,
         default=Wish().damping_ratio,
+        metavar="RATIO",
         help="damping ratio of the closed-loop poles (%(default)s)",
     )
     parser.add_argument(
-        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, help="smallest phase margin (%(default)s)"
+        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, metavar="DEG",
+        help="smallest phase margin (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gain-margin",
+        type=float,
+        default=Wish().gain_margin,
+        metavar="RATIO",
+        help="smallest gain margin (%(default)s)",
     )
     parser.add_argument(
-        "--gain-margin", type=float, default=Wish().gain_margin, help="smallest gain margin (%(default)s)"
+        "--rate-hz", type=float, default=2000.0, metavar="HZ", help="rate of the loop, without --axis (%(default)s)"
     )
-    parser.add_argument("--rate-hz", type=float, default=2000.0, help="rate of the loop, without --axis (%(default)s)")
     parser.add_argument(
         "--current-limit-a",
         type=float,
+        metavar="A",
         help="current limit of the controller section (default: the axis file's, or 10)",
     )
     parser.add_argument("--svg", action="store_true", help=f"also draw each figure as DIR/{FIGURES}/NAME.svg")

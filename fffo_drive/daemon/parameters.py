@@ -69,7 +69,7 @@ class Start(Bound):
     profile: Annotated[
         str | ProfileSection,
         Field(
-            description="name (see info: profiles), or a profile as in an axis file",
+            description="name of one of the axis file (`info` lists them), or its keys as there: {kind: sine, ...}",
             json_schema_extra={"cli": "profile"},
         ),
     ]

@@ -10,7 +10,7 @@ information and S the covariance between runs, both as a fleet shows it,
 is the generalised least-squares estimate of a change along e that leaves all else as it was (Rao's score for it). mu_t
 is the drive's own level, from runs before t, and with a logged temperature its own slope. Without one, temperature is a
 part of S: what moves along its line, viscous friction and Coulomb friction together, then counts for next to nothing.
-That is how viscous friction serves as the thermometer.
+Viscous friction stands in for the temperature.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {
     "gravity_cos_nm": (WORDS["gravity_cos_nm"], _COULOMB, 0.05),
     "gravity_sin_nm": (WORDS["gravity_sin_nm"], _COULOMB, 0.05),
 }
-WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it is the thermometer
+WITHOUT_TEMPERATURE = ("viscous friction",)  # not watched: it stands in for the temperature
 UNMODELLED = "what no column explains (elasticity)"
 BACKLASH = "backlash"
 LARGEST_RATIO = 2.5  # of a drive's scale to that of the others of its model
@@ -57,7 +57,7 @@ CORRELATION = -0.4  # typical, of viscous and Coulomb friction between runs: of 
 PRIOR_RUNS = 30.0  # that the typical covariance counts for
 PRIOR_DRIVES = 2.0  # ... and typical slopes and spreads
 MEAN_DEGC, STEP_K = 25.0, 10.0  # temperatures are counted in steps from this mean
-TEMPERATURE_SHARE = 0.8  # of the runs with a temperature, for it to be the thermometer
+TEMPERATURE_SHARE = 0.8  # of the runs that log a temperature, for it to be used
 SLOPE_SDS = 1.5  # slope per step of temperature, before any drive is seen: in typical deviations between runs
 GAP_SD = 0.05  # of the logarithm of the gap between runs, beside what each run says: in simulated lives
 EXTRA_SD = 0.15  # of logarithms of amplitudes, between runs
@@ -81,8 +81,8 @@ class Stack(NamedTuple):
     theta: Floats  # (n, p) over the drive's scales; 0 where nothing is known
     information: Floats  # (n, p, p) likewise
     scales: Floats  # (d, p)
-    temperature: Floats  # (n,) steps from the mean; 0 for drives without a thermometer, nan for single runs without
-    logged: Mask  # (d,) whether a drive has a thermometer
+    temperature: Floats  # (n,) steps from the mean; 0 for drives that log none, nan for single runs without
+    logged: Mask  # (d,) whether a drive logs a temperature
     log_speed: Floats  # (n,)
     extras: Floats  # (n, k) logarithms of amplitudes and of the gap; nan where a run has none
     extra_variance: Floats  # (n, k) of them
@@ -112,7 +112,7 @@ class FleetPrior(NamedTuple):
 
     columns: tuple[str, ...]
     covariance: Floats  # (p, p) between runs, with the temperature taken out
-    ambient_covariance: Floats  # (p, p) ... and with it, for drives without a thermometer
+    ambient_covariance: Floats  # (p, p) ... and with it, for drives that log none
     slope: Floats  # (p,) per step of temperature
     slope_sd: Floats  # (p,) between drives
     line: Floats  # (p,) what a step of temperature moves, or one like it where none is logged

@@ -121,8 +121,8 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
     unlogged = not stack.logged[0]
     if unlogged:
         remarks.append(
-            f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} is the thermometer and not compared. A change "
-            "that moves it together with Coulomb friction cannot be distinguished from temperature"
+            f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} stands in for it and is not compared. A "
+            "change that moves it together with Coulomb friction cannot be distinguished from temperature"
         )
     return Difference(tuple(laws), joint_p, counts, degc, tuple(remarks))
 

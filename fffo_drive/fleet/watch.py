@@ -291,7 +291,7 @@ def _unseen_temperatures(stack: Stack, drives: Integers) -> dict[int, str]:
 
 
 def _unusual_viscous(stack: Stack, drives: Integers, place: int, sd: float) -> dict[int, str]:
-    """Of these drives without a thermometer, those whose viscous friction is further off than temperature moves it."""
+    """Of drives that log no temperature, those whose viscous friction is further off than temperature moves it."""
     viscous = np.where(stack.information[:, place, place] > 0.0, stack.theta[:, place], np.nan)
     found = {}
     for drive in drives:

@@ -123,7 +123,7 @@ def test_from_uniform_to_infinite_variance_the_moments_and_the_bound_hold(
 
 
 def watched(noise: Floats, rate: float, change: float = 0.0, at: int = 25) -> Detections:
-    """Drives (d, n, c) of scale 0.03 about levels of their own, with a thermometer, and a step in channel 0."""
+    """Drives (d, n, c) of scale 0.03 about levels of their own, with a logged temperature, and a step in channel 0."""
     drives, runs, channels = noise.shape
     rng = np.random.default_rng(2)
     ambient = rng.standard_normal((drives, runs, 1))

@@ -79,10 +79,8 @@ def table(found: Sequence[StaticFriction]) -> list[str]:
         lines.append(f"| {name} | " + " | ".join(f"{q:.3g}" for q in np.quantile(column, SHARES)) + " |")
     beyond = int(np.sum(values[:, 0] > fitting.MOST_STATIC))
     stands = int(np.sum(values[:, 1] < 0.999 * values[:, 2]))
-    return [
-        *lines, "", f"{len(found)} axes, {len(values)} fitted. On {beyond} the true Fs is beyond the bound; on {stands} "
-        "the bound lowers the fit.",
-    ]  # fmt: skip
+    said = f"On {beyond} the true Fs is beyond the bound; on {stands} the bound lowers the fit."
+    return [*lines, "", f"{len(found)} axes, {len(values)} fitted. {said}"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
