@@ -191,11 +191,16 @@ def read_head(path: Path | str) -> RunHead:
                 metadata = parse(Metadata.read, record.body)
                 header |= metadata.metadata if metadata.name == METADATA_NAME else {}
             elif record.opcode == Opcode.ATTACHMENT:
-                attachment = parse(AttachmentRecord.read, record.body)
-                attachments[attachment.name] = Attachment(attachment.name, attachment.media_type, attachment.data)
+                _keep(attachments, parse(AttachmentRecord.read, record.body))
             elif record.opcode == Opcode.CHUNK:
                 return RunHead(header, attachments, int.from_bytes(record.body[:8], "little"))
     return RunHead(header, attachments, None)
+
+
+def _keep(attachments: dict[str, Attachment], record: AttachmentRecord) -> None:
+    """Add an attachment in its order. A name that is taken (axis and model of one name) gets a number in front."""
+    name = record.name if record.name not in attachments else f"{len(attachments) + 1}_{record.name}"
+    attachments[name] = Attachment(name, record.media_type, record.data)
 
 
 def read_metadata(path: Path | str) -> dict[str, str]:
@@ -232,9 +237,7 @@ class _Collector:
             metadata = parse(Metadata.read, record.body)
             self.metadata.setdefault(metadata.name, {}).update(metadata.metadata)
         elif record.opcode == Opcode.ATTACHMENT:
-            attachment = parse(AttachmentRecord.read, record.body)
-            entry = Attachment(attachment.name, attachment.media_type, attachment.data)
-            self.attachments[attachment.name] = entry
+            _keep(self.attachments, parse(AttachmentRecord.read, record.body))
         elif record.opcode == Opcode.STATISTICS:
             self.stated = parse(Statistics.read, record.body).channel_message_counts
 

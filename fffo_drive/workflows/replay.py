@@ -79,14 +79,19 @@ def _other_law(file: str, run: Run) -> ReplayedLaw:
 
 
 def recorded_files(run: Run) -> tuple[AxisFile, ModelFile]:
-    """The axis file and the model in a recording. Raises DocumentError if it has none."""
+    """The axis file and the model in a recording. Raises DocumentError if it has none.
+
+    The axis file is the one that says so; in a recording of a run, else the first. Its model follows it.
+    """
     with tempfile.TemporaryDirectory() as directory:
-        for attachment in run.attachments.values():
-            (Path(directory) / Path(attachment.name).name).write_bytes(attachment.data)
-        for name in run.attachments:
-            path = Path(directory) / Path(name).name
-            if AXIS_FORMAT in path.read_bytes():
-                axis = read_axis(path)
-                flat = axis.model_copy(update={"model": Path(axis.model).name})
-                return axis, model_of(path, flat)
+        paths = [Path(directory) / Path(name).name for name in run.attachments]
+        for path, attachment in zip(paths, run.attachments.values(), strict=True):
+            path.write_bytes(attachment.data)
+        first = paths[0] if paths and "axis" in run.metadata else None
+        chosen = next((path for path in paths if AXIS_FORMAT in path.read_bytes()), first)
+        if chosen is not None:
+            axis = read_axis(chosen)
+            following = [path.name for path in paths[paths.index(chosen) + 1 :]]
+            flat = axis.model_copy(update={"model": (following or [Path(axis.model).name])[0]})
+            return axis, model_of(chosen, flat)
     raise DocumentError(f"{run.path}: contains no axis file; give one with --with")

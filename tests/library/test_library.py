@@ -98,6 +98,19 @@ def test_a_recorded_run_is_replayed_bit_for_bit_and_another_model_asks_for_anoth
     assert 0.5 * expected_a < changed.rms_difference_a < expected_a
 
 
+@pytest.mark.parametrize(("axis_name", "said"), [("table1.yaml", True), ("axis.yaml", False)])
+def test_a_recording_has_its_axis_and_model_though_they_share_a_name_or_do_not_say_what_they_are(
+    axis_name, said, short_profile, tmp_path
+):
+    text = AXIS.read_text().replace("file: sim", f"file: {CONFIGS}/sim").replace("model: m", f"model: {CONFIGS}/m")
+    axis = tmp_path / axis_name  # its model is models/table1.yaml
+    axis.write_text(text if said else text.replace("format: fffo_drive/axis/1\n", ""))
+    made = fd.run(axis, tmp_path / "run.mcap", profile=short_profile)
+    assert made.facts == fd.simulate(axis, profile=short_profile).facts
+    assert fd.replay(made, CONFIGS / "models" / "table1.yaml").largest_difference_a == 0.0
+    assert fd.evaluate(runs=[made]).controllers == ("pi+fffo",)
+
+
 def test_a_run_that_was_not_recorded_is_not_replayed(simulated):
     with pytest.raises(DocumentError, match="no recording: make it with run"):
         fd.replay(simulated)
