@@ -14,12 +14,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, create_model
+from pydantic import Field, ValidationError, create_model
 
 from .. import formats
 from ..documents import DocumentError, StrictRecord, load, refuse
 from ..system.service_files import sources
-from .drive_section import CanopenDriveSection
+from .drive_section import CanopenDriveSection, SdoWriteSection
 from .eds_fitness import Fitness, section_lines
 
 OF_ONE_AXIS = frozenset({
@@ -134,19 +134,39 @@ def with_profile(data: Any, axis_path: Path) -> Any:
 
 def merged(keys: Mapping[str, Any], section: Mapping[str, Any]) -> dict[str, Any]:
     """A drive section over the keys of a profile."""
-    own = section.get("sdo")
-    writes = {_place(write): write for write in keys.get("sdo", [])}
-    if isinstance(own, list) and all(isinstance(write, Mapping) for write in own):
-        writes |= {_place(write): write for write in own}
     found = {**keys, **section}
     for key, value in keys.items():  # of a mapping in it the file may give single keys
         if isinstance(value, Mapping) and isinstance(section.get(key), Mapping):
             found[key] = {**value, **section[key]}
-    if "resolver_bits" in section and "counts_per_rev" not in section:
-        found.pop("counts_per_rev", None)
-    if writes and (own is None or isinstance(own, list)):
-        found["sdo"] = list(writes.values())
+    for given, other in (("resolver_bits", "counts_per_rev"), ("counts_per_rev", "resolver_bits")):
+        if given in section and other not in section:  # two ways to say the same
+            found.pop(other, None)
+    own = section.get("sdo")
+    if "sdo" in keys and isinstance(own, list) and all(map(_is_write, own)):  # else its own mistakes are named
+        found["sdo"] = _joined(keys["sdo"], own)
     return found
+
+
+def _is_write(write: Any) -> bool:
+    try:
+        SdoWriteSection.model_validate(write)
+    except ValidationError:
+        return False
+    return True
+
+
+def _joined(shared: list[Any], own: list[Any]) -> list[Any]:
+    """Writes of a profile and of a file, each list in its order: one may unlock what the next one sets."""
+    places = [_place(write) for write in own]
+    found, rest = [], own
+    for write in shared:
+        place = _place(write)
+        if place not in places:
+            found.append(write)
+            continue
+        end = next((k for k, mine in enumerate(rest, 1) if _place(mine) == place), 0)
+        found, rest = found + rest[:end], rest[end:]
+    return found + rest
 
 
 def _place(write: Mapping[str, Any]) -> tuple[Any, Any, Any]:

@@ -87,6 +87,33 @@ def test_sdo_writes_are_joined_and_the_files_own_replaces_the_same_place() -> No
     assert merged({"sdo": [first]}, {"sdo": [later]})["sdo"] == [first, later]
 
 
+def test_no_write_of_a_sequence_is_lost_and_each_list_keeps_its_order() -> None:
+    unlock = {"object": 0x2000, "value": 1, "bytes": 1, "why": "unlocks the settings"}
+    setting = {"object": 0x2001, "value": 5, "bytes": 2, "why": "a setting"}
+    lock = {**unlock, "value": 0, "why": "locks them again"}
+    other = {"object": 0x3000, "value": 2, "bytes": 2, "why": "a setting"}
+    changed = {**setting, "value": 7}
+    sequence = [unlock, setting, lock]
+    assert merged({"sdo": sequence}, {})["sdo"] == sequence
+    assert merged({"sdo": [other]}, {"sdo": sequence})["sdo"] == [other, *sequence]
+    assert merged({"sdo": sequence}, {"sdo": [changed]})["sdo"] == [unlock, changed, lock]
+    assert merged({"sdo": sequence}, {"sdo": [unlock, changed, lock, other]})["sdo"] == [unlock, changed, lock, other]
+
+
+@pytest.mark.parametrize("write", [5, {"object": [0x60A9], "value": 1, "bytes": 4, "why": "rpm"}])
+def test_a_wrong_write_beside_those_of_a_profile_names_its_key(tmp_path: Path, write: object) -> None:
+    profile = "family: x\ntried: nothing\ndrive:\n  sdo: [{object: 0x3000, value: 2, bytes: 2, why: a setting}]\n"
+    (tmp_path / "mine.yaml").write_text(profile)
+    with pytest.raises(DocumentError, match=r"axis.yaml:\d+: drive.sdo.0"):
+        read_axis(axis_file(tmp_path, profile="mine", sdo=[write]))
+
+
+@pytest.mark.parametrize("keys", [("resolver_bits: 12", {"counts_per_rev": 2000}), ("counts_per_rev: 2000", {})])
+def test_counts_of_the_file_replace_bits_of_the_profile(tmp_path: Path, keys: tuple[str, dict[str, object]]) -> None:
+    (tmp_path / "mine.yaml").write_text(f"family: x\ntried: nothing\ndrive:\n  {keys[0]}\n")
+    assert read_axis(axis_file(tmp_path, profile="mine", **keys[1])).drive.counts == 2000
+
+
 def test_a_profile_beside_the_axis_file_stands_before_one_that_ships(tmp_path: Path) -> None:
     own = tmp_path / "maxon_epos4.yaml"
     text = (
