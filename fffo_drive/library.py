@@ -343,6 +343,7 @@ def tune(
     `axis`: its rate, its source of velocity and the delay in its commissioning record count; None: `rate_hz` and the
     drive's velocity. Raises DocumentError.
     """
+    tuning.require_positive(rate_hz=rate_hz)
     linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
     measured_s = None if axis is None else commissioned_delay_s(axis.path, axis.file)
     wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)

@@ -27,7 +27,7 @@ from ..report.page import refuse_other_report, write_report
 from ..report.tune import TuneSource, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
-from ..workflows.tune import tune
+from ..workflows.tune import require_positive, tune
 
 FIGURES = "figures"
 
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    require_positive(rate_hz=options.rate_hz, current_limit_a=options.current_limit_a)
     model = read_model(options.model)
     axis_file = read_axis(options.axis) if options.axis else None
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz

@@ -48,10 +48,11 @@ def tune(
 ) -> Tuned:  # fmt: skip
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
-    `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
+    Also where a wish is no number above 0. `commissioned_delay_s`: what commissioning measured, command to measured velocity. Backlash and elasticity make a
     fitted delay too short; the longer of the two is designed for. `dead_band_rev`: of the hold of the position, in
     general its resolution.
     """
+    require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
     longer_s = max(0.0, (commissioned_delay_s or 0.0) - model.delay_s.value)
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
@@ -71,6 +72,13 @@ def tune(
         )
         found = found._replace(warnings=(*found.warnings, text))
     return Tuned(axis, found)
+
+
+def require_positive(**given: float | None) -> None:
+    """Raises DocumentError for a number that is not above 0 and finite; None is none."""
+    for name, value in given.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise DocumentError(f"{name}: {value:g}: a number above 0 is needed")
 
 
 def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:

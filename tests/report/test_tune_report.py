@@ -10,9 +10,11 @@ import yaml
 from identification.rig import TABLE_1
 from report.test_page import LARGEST_PAGE_BYTES, outline
 
+import fffo_drive as fd
 from fffo_drive.cli import main
 from fffo_drive.control.stability import RIGID, linear_axis, loop_margins
 from fffo_drive.control.velocity_estimator import estimator_config
+from fffo_drive.documents import DocumentError
 from fffo_drive.identification.tuning import Wish, design, judge
 from fffo_drive.model.parameters import effect_model, read_model, write_model
 from fffo_drive.report.document import ReportFile
@@ -221,3 +223,15 @@ def test_the_terminal_speaks_of_a_linear_axis_too(tmp_path, capsys):
     said = capsys.readouterr().out.splitlines()
     assert "A s/m" in said[0]
     assert not [line for line in said[:6] if "Nm" in line or "rps" in line]
+
+
+@pytest.mark.parametrize("value", ["-3", "0", "nan"])
+@pytest.mark.parametrize("key", ["bandwidth_hz", "damping_ratio", "rate_hz", "current_limit_a"])
+def test_a_wish_that_is_no_number_above_zero_makes_no_gains(key, value, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["tune", str(TABLE_1), "--out", str(out), f"--{key.replace('_', '-')}={value}"]) == 78
+    assert f"{key}: {value}: a number above 0 is needed" in capsys.readouterr().err
+    assert not out.exists()
+    if key in ("bandwidth_hz", "rate_hz"):
+        with pytest.raises(DocumentError, match=f"{key}: {value}"):
+            fd.tune(read_model(TABLE_1), **{key: float(value)})
