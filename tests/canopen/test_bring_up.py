@@ -5,7 +5,7 @@ import re
 import struct
 
 import pytest
-from scripted_node import NO_OBJECT, RANGE, ScriptedNode, servo_dictionary
+from scripted_node import NO_OBJECT, RANGE, READ_ONLY, ScriptedNode, servo_dictionary
 
 from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
@@ -143,6 +143,27 @@ def test_a_refused_write_names_object_value_and_reason(config, where, message):
     assert re.search(message, text), text
     assert "0x06090030" in text
     assert "node 5" in text
+
+
+FIXED = {  # to what is needed at 1 kHz
+    (0x1600, 0): b"\x02", (0x1600, 1): struct.pack("<I", 0x60400010), (0x1600, 2): struct.pack("<I", 0x60710010),
+    (0x1400, 2): b"\x01", (0x60C2, 2): b"\xfd", (0x6007, 0): b"\x03\x00",
+}  # fmt: skip
+
+
+def test_what_is_fixed_to_the_value_that_is_needed_need_not_be_written(config):
+    """As drive-info has it, which asks for no more of such a file."""
+    config = dataclasses.replace(config, period_ns=1_000_000)
+    refuse = dict.fromkeys(FIXED, READ_ONLY)
+    with ScriptedNode(config.bus, NODE, servo_dictionary(NODE) | FIXED, refuse=refuse), CanopenDrive(config) as drive:
+        assert drive.identity.vendor_id == 0x11
+
+
+@pytest.mark.parametrize("where", sorted(FIXED.keys() - {(0x1600, 1)}))  # which this node has already
+def test_what_is_fixed_to_another_value_is_refused(config, where):
+    text = refusal(config, ScriptedNode(config.bus, NODE, refuse={where: READ_ONLY}))
+    assert f"0x{where[0]:04X}:{where[1]:02X}" in text
+    assert "abort 0x06010002" in text
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from .service import (
     NMT_PRE_OPERATIONAL,
     NMT_RESET_COMMUNICATION,
     NMT_START,
+    READ_ONLY,
     STATE_OPERATIONAL,
     SdoRefusedError,
     Service,
@@ -31,7 +32,6 @@ from .service import (
 )
 
 COB_ID_INVALID = 1 << 31
-READ_ONLY = 0x06010002  # abort code
 COB_ID_NO_RTR = 1 << 30  # some drives refuse a COB-ID with this bit cleared: keep it as found
 COB_ID_MASK = COB_ID_INVALID | can.STANDARD_MASK
 SYNC_PRODUCER = 1 << 30

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..port import DriveRefusedError
-from .service import SdoRefusedError, Service, object_name
+from .service import READ_ONLY, SdoRefusedError, Service, object_name
 
 
 def write_checked(
@@ -11,19 +11,22 @@ def write_checked(
 ) -> None:
     """Write `value` in `size` bytes and compare what the drive then has (under `mask`, if given).
 
+    An object that is read only may have the value already.
     `purpose` completes "needed for ...". Raises DriveRefusedError naming object, value and the drive's
     reason, and BusUnavailableError when nobody answers.
     """
     name = object_name(index, sub)
     shown = _shown(value, size)
+    compared = mask if mask is not None else (1 << 8 * size) - 1
     try:
         service.write(index, sub, (value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
         kept = service.read_int(index, sub)
     except SdoRefusedError as refusal:
+        if refusal.code == READ_ONLY and (service.read_int(index, sub) ^ value) & compared == 0:
+            return
         raise DriveRefusedError(
             f"node {service.node_id} refuses {name} = {shown}, needed for {purpose}: {refusal}"
         ) from refusal
-    compared = mask if mask is not None else (1 << 8 * size) - 1
     if kept & compared != value & compared:
         raise DriveRefusedError(
             f"node {service.node_id} took {name} = {shown} but reads back {_shown(kept, size)}; "
