@@ -30,6 +30,7 @@ from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
 FIGURES = "figures"
+MODEL_NAME = "model.yaml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +52,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     facts = facts_for(options.drive, options.logs)
     out = Path(options.out)
-    refuse_other_report(out, "identify")
+    refuse_other_report(out, "identify", MODEL_NAME)
     records = load_records(options.logs, facts)
     for record in records:
         for warning in record.warnings:
@@ -61,8 +62,8 @@ def execute(options: argparse.Namespace) -> int:
         name = options.name or out.resolve().name
         found = identify(records, facts, name, None if bar is None else bar, prior)
         out.mkdir(parents=True, exist_ok=True)
-        write_model(out / "model.yaml", found.model)
-        source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / "model.yaml")
+        write_model(out / MODEL_NAME, found.model)
+        source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / MODEL_NAME)
         page = identify_report(
             source, found.fit, records, found.residuals, found.result, found.coverage, found.cyclic, prior
         )
@@ -82,7 +83,7 @@ def execute(options: argparse.Namespace) -> int:
             print("\n".join(prior_lines(prior)))
         if found.cyclic is not None:
             print("\n".join(cyclic_lines(found.cyclic)))
-        print(out / "model.yaml")
+        print(out / MODEL_NAME)
         print(paths.page)
     return 0
 

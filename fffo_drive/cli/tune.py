@@ -19,8 +19,9 @@ import yaml
 
 from ..config.axis import hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import commissioned_delay_s
+from ..config.drive_profile import profile_path, shipped_profiles
 from ..control.stability import linear_axis
-from ..documents import parse, read_text
+from ..documents import DocumentError, parse, read_text
 from ..identification.tuning import Design, Wish
 from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
@@ -30,6 +31,7 @@ from ..units import text_on
 from ..workflows.tune import require_positive, tune
 
 FIGURES = "figures"
+GAINS_NAME = "controller.yaml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,11 +89,15 @@ def execute(options: argparse.Namespace) -> int:
     found = tuned.design
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
-    refuse_other_report(out, "tune")
+    copy = [] if options.axis is None else [Path(options.axis).name]
+    refuse_other_report(out, "tune", GAINS_NAME, *copy)
+    for name in copy:
+        if (out / name).resolve() == Path(options.axis).resolve():
+            raise DocumentError(f"--out: {out / name} is the axis file to copy: give another --out")
     out.mkdir(parents=True, exist_ok=True)
     section = tuned.section(limit_a)
     text = yaml.safe_dump({"controller": section}, sort_keys=False)
-    written = [out / "controller.yaml"]
+    written = [out / GAINS_NAME]
     written[0].write_text(text, encoding="utf-8")
     result = tuned.summary()
     if options.axis:
@@ -137,9 +143,13 @@ def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -
     observer = dict(kept.get("observer", {})) | section["observer"]
     data["controller"] = kept | section | {"observer": observer}
     data["model"] = os.path.relpath(model.resolve(), out.resolve())
-    for place, key in ((data["drive"], "file"), (data, "commissioning")):
+    drive = data["drive"]
+    for place, key in ((drive, "file"), (drive, "eds"), (data, "commissioning")):
         if place.get(key):
             place[key] = os.path.relpath((source.parent / place[key]).resolve(), out.resolve())
+    family = profile_path(source, drive["profile"]) if drive.get("profile") else None
+    if family is not None and family not in shipped_profiles().values():
+        drive["profile"] = os.path.relpath(family.resolve(), out.resolve())
     target = out / source.name
     target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     read_axis(target)

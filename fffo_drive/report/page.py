@@ -43,9 +43,17 @@ def write_report(report: Report, directory: Path) -> ReportPaths:
     return paths
 
 
-def refuse_other_report(directory: Path, kind: str) -> None:
-    """Raises DocumentError where a directory already holds a report of another kind, which would be overwritten."""
+def refuse_other_report(directory: Path, kind: str, *names: str) -> None:
+    """Raises DocumentError where a directory holds a report of another kind, which would be overwritten.
+
+    Also where it holds one of the files `names` and no report: somebody else wrote it.
+    """
     path = directory / JSON_NAME
+    foreign = next((directory / name for name in names if (directory / name).exists()), None)
+    if foreign is not None and not path.exists():
+        raise DocumentError(
+            f"{foreign}: not from `{kind}` (no {JSON_NAME} next to it), not overwritten: give another --out"
+        )
     try:
         found = json.loads(path.read_text(encoding="utf-8")).get("kind")
     except (FileNotFoundError, ValueError, AttributeError):

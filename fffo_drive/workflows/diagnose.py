@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..diagnosis.results import Diagnosis
-from ..documents import DocumentError
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.dataset import Record, load_records
 from ..identification.declared import weight_remarks
@@ -18,7 +17,7 @@ from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import provenance, source_file
-from ..report.page import JSON_NAME, refuse_other_report
+from ..report.page import refuse_other_report
 from .progress import Bar, no_bar
 from .recorded_facts import facts_for
 
@@ -92,12 +91,7 @@ def diagnose_recordings(
 
 def require_place(out: Path) -> None:
     """Refuse to overwrite a model that is not from a diagnosis. Raises DocumentError."""
-    refuse_other_report(out, KIND)
-    model_path = out / MODEL_NAME
-    if model_path.exists() and not (out / JSON_NAME).exists():
-        raise DocumentError(
-            f"{model_path}: not from a diagnosis (no {JSON_NAME} next to it), not overwritten: give another --out"
-        )
+    refuse_other_report(out, KIND, MODEL_NAME)
 
 
 def write_diagnosis(

@@ -172,7 +172,7 @@ def test_mistakes_are_answered_in_one_line_before_anything_is_computed(store, tm
     (tmp_path / "pages" / "M_1" / "A2" / "now").mkdir(parents=True)
     (tmp_path / "pages" / "M_1" / "A2" / "now" / "model.yaml").write_text("name: mine\n")
     assert main([*arguments, "--serial", "A2"]) == 78
-    assert "not from a diagnosis" in capsys.readouterr().err
+    assert "not from `diagnose`" in capsys.readouterr().err
     assert main(arguments) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'pages' / 'report.html'}\n"
     page = json.loads((tmp_path / "pages" / "report.json").read_text())

@@ -18,6 +18,7 @@ from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import read_record, write_record
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.checks import law_problems
+from fffo_drive.config.drive_profile import profile_path, shipped_profiles
 from fffo_drive.model.parameters import read_model
 
 
@@ -104,3 +105,31 @@ def test_tune_designs_for_the_longer_delay_of_model_and_commissioning_and_keeps_
         written = out / str(read_axis(out / axis.name).commissioning)
         assert read_record(written) == read_record(tmp_path / NAME)
     assert gains[0.0040] < 0.8 * gains[0.0020]
+
+
+def test_the_axis_file_that_tune_writes_finds_eds_and_profile_of_its_own(tmp_path, capsys):
+    (tmp_path / "mine.yaml").write_bytes(shipped_profiles()["maxon_epos4"].read_bytes())
+    axis = axis_file(tmp_path, "  node_id: 1\n", "  node_id: 1\n  profile: mine\n  eds: drive.eds\n")
+    assert main(["tune", str(TABLE_1), "--out", str(tmp_path / "tuned"), "--axis", str(axis)]) == 0
+    written = tmp_path / "tuned" / axis.name
+    drive = read_axis(written).drive
+    assert (written.parent / drive.eds).resolve() == tmp_path / "drive.eds"
+    assert profile_path(written, drive.profile).resolve() == tmp_path / "mine.yaml"
+
+
+def test_files_that_were_not_written_here_are_not_overwritten(tmp_path, drive, capsys):
+    axis = axis_file(tmp_path)
+    before = axis.read_bytes()
+    words = ["tune", str(TABLE_1), "--axis", str(axis), "--out", str(tmp_path)]
+    assert main(words) == 78
+    assert f"{axis}: not from `tune`" in capsys.readouterr().err
+    (tmp_path / "report.json").write_text('{"kind": "tune"}')  # of gains without an axis file
+    assert main(words) == 78
+    assert f"{axis} is the axis file to copy" in capsys.readouterr().err
+    assert axis.read_bytes() == before
+    model = tmp_path / "fit" / "model.yaml"
+    model.parent.mkdir()
+    model.write_text("mine")
+    assert main(["identify", "log.csv", "--drive", str(drive), "--out", str(model.parent)]) == 78
+    assert f"{model}: not from `identify`" in capsys.readouterr().err
+    assert model.read_text() == "mine"

@@ -92,7 +92,7 @@ def test_a_model_that_no_diagnosis_wrote_is_neither_overwritten_nor_removed(comm
     out.mkdir()
     (out / "model.yaml").write_text("mine")
     assert command(NOTHING)[0] == 78
-    assert "not from a diagnosis" in capsys.readouterr().err
+    assert "not from `diagnose`" in capsys.readouterr().err
     assert (out / "model.yaml").read_text() == "mine"
     (out / "report.json").write_text("{}")
     assert command(diagnosis(), "--model", str(out / "model.yaml"))[0] == 78
