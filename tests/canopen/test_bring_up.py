@@ -11,7 +11,7 @@ from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
-from fffo_drive.drive.canopen.object_map import feedback_pdos
+from fffo_drive.drive.canopen.object_map import PdoSlots, feedback_pdos
 from fffo_drive.drive.canopen.service import Service, service_filters
 from fffo_drive.drive.canopen.service_queue import ServiceQueue
 from fffo_drive.drive.port import BusUnavailableError, DriveRefusedError
@@ -84,18 +84,39 @@ def test_a_plain_servo_drive_comes_up(config):
 def test_the_order_of_a_remapping(config):
     with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config):
         pass
-    steps = [(index, sub, int.from_bytes(v, "little")) for index, sub, v in node.written if index in (0x1801, 0x1A01)]
+    steps = [(index, sub, int.from_bytes(v, "little")) for index, sub, v in node.written if index in (0x1800, 0x1A00)]
     assert steps == [
-        (0x1801, 1, 0xC0000285),
-        (0x1801, 2, 10),
-        (0x1801, 3, 0),
-        (0x1801, 5, 0),
-        (0x1A01, 0, 0),
-        (0x1A01, 1, 0x60410010),
-        (0x1A01, 2, 0x60770010),
-        (0x1A01, 0, 2),
-        (0x1801, 1, 0x40000285),
+        (0x1800, 1, 0xC0000185),
+        (0x1800, 2, 1),
+        (0x1800, 3, 0),
+        (0x1800, 5, 0),
+        (0x1A00, 0, 0),
+        (0x1A00, 1, 0x606C0020),
+        (0x1A00, 2, 0x60640020),
+        (0x1A00, 0, 2),
+        (0x1800, 1, 0x40000185),
     ]
+
+
+class StrictAboutIds(ScriptedNode):
+    """Refuses another COB-ID for a PDO in use, even if that disables it (CiA 301 7.5.2.35), and one that is none."""
+
+    def check(self, index, sub, value):
+        pdo = index & 0xFE00 in (0x1400, 0x1800) and sub == 1
+        old, new = (self.number(index, 1), int.from_bytes(value, "little")) if pdo else (1 << 31, 0x181)
+        return RANGE if not new & 0x7FF or (not old >> 31 and (old ^ new) & 0x7FF) else 0
+
+
+def test_a_pdo_in_use_is_disabled_before_it_gets_another_cob_id(config):
+    """One that is disabled may have no COB-ID at all: 0x80000000."""
+    slots = PdoSlots(command=2, motion=2, status=3, event=1)
+    ids = {(first + n, 1): struct.pack("<I", base + 0x100 * n + NODE | no_rtr)
+           for first, base, no_rtr in ((0x1400, 0x200, 0), (0x1800, 0x180, 1 << 30)) for n in range(4)}  # fmt: skip
+    ids[0x1802, 1] = struct.pack("<I", 0xC0000000)
+    config = dataclasses.replace(config, slots=slots)
+    with StrictAboutIds(config.bus, NODE, servo_dictionary(NODE) | ids) as node, CanopenDrive(config):
+        assert node.number(0x1401, 1) == 0x205
+        assert [node.number(0x1800 + n, 1) for n in range(3)] == [0x40000385, 0x40000185, 0x40000285]
 
 
 def test_leaving_takes_the_torque_away_first(config):

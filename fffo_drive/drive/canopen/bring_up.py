@@ -209,14 +209,18 @@ def _switch_off_others(service: Service, first_index: int, used: set[int], purpo
 
 
 def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
-    """CiA 301 7.5.2.36: disable, empty the mapping, write it, set its length, enable."""
+    """CiA 301 7.5.2.36: disable, empty the mapping, write it, set its length, enable with the new COB-ID.
+
+    The COB-ID of a PDO in use must not change (CiA 301 7.5.2.35): it is disabled with the one that it has.
+    """
     communication = first_index + pdo.number - 1
     mapping = communication + 0x200
     receives = first_index == 0x1400
     purpose = f"{'RPDO' if receives else 'TPDO'}{pdo.number}"
-    kept_bits = service.read_int(communication, 1) & COB_ID_NO_RTR
-    cob_id = pdo.cob_id | kept_bits
-    write_checked(service, communication, 1, cob_id | COB_ID_INVALID, 4, f"disabling {purpose}", mask=COB_ID_INVALID)
+    found = service.read_int(communication, 1)
+    cob_id = pdo.cob_id | found & COB_ID_NO_RTR
+    if not found & COB_ID_INVALID:
+        write_checked(service, communication, 1, found | COB_ID_INVALID, 4, f"disabling {purpose}", mask=COB_ID_INVALID)
     write_checked(service, communication, 2, pdo.transmission, 1, f"the transmission type of {purpose}")
     if not receives:
         # a leftover inhibit time or timer would delay or add frames
