@@ -223,7 +223,7 @@ class Workbench:
         """A file that a page sends: a recording, or the facts of its drive. Raises ForbiddenError, DocumentError."""
         self._require(asker, "move")
         path = Path(name)
-        if path.name != name or name.startswith("."):
+        if path.name != name or name.startswith(".") or "\0" in name:
             raise DocumentError(f"{name}: a plain file name is needed")
         if path.suffix in (".yaml", ".yml"):
             target = self.directory / name
@@ -232,9 +232,14 @@ class Workbench:
         else:
             kinds = ", ".join(shelf.RECORDINGS)
             raise DocumentError(f"{name}: recordings ({kinds}) and the facts of their drive (.yaml) can be added")
-        if target.exists():
-            raise DocumentError(f"{name}: already exists")
-        target.write_bytes(content)
+        try:
+            with target.open("xb") as file:
+                file.write(content)
+        except FileExistsError:
+            raise DocumentError(f"{name}: already exists") from None
+        except OSError:
+            target.unlink(missing_ok=True)  # a part of it, on a full disk
+            raise
         if path.suffix in (".yaml", ".yml"):
             self._facts = target
         self._log_action(asker, "take", {"file": name, "bytes": len(content)})

@@ -128,6 +128,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._json(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, {"error": f"at most {largest:,} bytes can be taken in"})
             return
         body = self.rfile.read(size)
+        if len(body) < size:  # of a file that is taken in, a part would look like the whole
+            self.close_connection = True
+            self._json(HTTPStatus.BAD_REQUEST, {"error": "the request was cut off: nothing was done"})
+            return
         try:
             self._json(HTTPStatus.OK, self._do(asker, rest, body))
         except ForbiddenError as error:

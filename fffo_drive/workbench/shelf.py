@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from ..report.page import JSON_NAME, PAGE_NAME
 
@@ -24,14 +27,21 @@ def is_recording(path: Path) -> bool:
 
 def recordings(directory: Path, given: tuple[Path, ...]) -> list[dict[str, Any]]:
     """Recordings given, and those under DIR/runs; the newest last."""
-    here = sorted((directory / RUNS).glob("*"), key=lambda path: path.stat().st_mtime)
-    found = [*given, *(path for path in here if is_recording(path))]
+    here = _there(path for path in (directory / RUNS).glob("*") if is_recording(path))
     return [
-        {"name": path.name, "path": str(path), "megabytes": round(path.stat().st_size / 1e6, 2),
-         "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(path.stat().st_mtime))}
-        for path in found
-        if path.exists()
+        {"name": path.name, "path": str(path), "megabytes": round(status.st_size / 1e6, 2),
+         "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(status.st_mtime))}
+        for path, status in (*_there(given), *sorted(here, key=lambda found: found[1].st_mtime))
     ]  # fmt: skip
+
+
+def _there(paths: Iterable[Path]) -> list[tuple[Path, os.stat_result]]:
+    """Files with their state, without those that are gone: what writes them renames and removes them meanwhile."""
+    found = []
+    for path in paths:
+        with contextlib.suppress(OSError):
+            found.append((path, path.stat()))
+    return found
 
 
 def pages(directory: Path) -> list[dict[str, Any]]:
@@ -40,8 +50,12 @@ def pages(directory: Path) -> list[dict[str, Any]]:
     Without those of a fleet's drives, whose models are not for this axis: the fleet's page has links to them.
     """
     own = (path for path in directory.glob(f"**/{JSON_NAME}") if not _is_of_a_drive(path.relative_to(directory)))
-    found = sorted(((path.stat().st_mtime_ns, path) for path in own), reverse=True)
-    return [one for time_ns, path in found if (one := _page(directory, path, time_ns)) is not None]
+    found = sorted(((status.st_mtime_ns, path) for path, status in _there(own)), reverse=True)
+    shown = []
+    for time_ns, path in found:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # being written, or none of ours
+            shown.append(_page(directory, path, time_ns))
+    return shown
 
 
 def _is_of_a_drive(report: Path) -> bool:
@@ -49,19 +63,16 @@ def _is_of_a_drive(report: Path) -> bool:
 
 
 @lru_cache(maxsize=1000)
-def _page(directory: Path, path: Path, time_ns: int) -> dict[str, Any] | None:
-    """Read once for each time at which it was written."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None  # it is being written
-    verdict = content.get("opening") or content.get("verdict")
-    if not isinstance(verdict, dict) or "finding" not in verdict or not path.with_name(PAGE_NAME).exists():
-        return None
+def _page(directory: Path, path: Path, time_ns: int) -> dict[str, Any]:
+    """Read once for each time at which it was written. Raises OSError, ValueError, KeyError, TypeError."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    verdict = content["opening" if "opening" in content else "verdict"]
+    page = path.with_name(PAGE_NAME)
+    page.stat()
     model = path.with_name("model.yaml")
     return {
         "kind": content.get("kind", ""), "name": path.parent.relative_to(directory).as_posix(),
-        "page": path.with_name(PAGE_NAME).relative_to(directory).as_posix(),
+        "page": quote(page.relative_to(directory).as_posix(), errors="surrogateescape"),
         "model": str(model) if model.exists() else "",
         **{key: verdict[key] for key in ("headline", "finding", "confidence", "next_step", "alarm")},
         "time": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(time_ns / 1e9)),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
+import io
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -158,7 +161,7 @@ def test_a_role_is_refused_what_it_may_not_and_the_log_says_who_did_what(workben
     assert (entry["role"], entry["name"], entry["action"], entry["file"]) == ("move", "anna", "take", "run.csv")
 
 
-@pytest.mark.parametrize("name", ["../run.csv", "/tmp/run.csv", ".run.csv", "run.exe", ""])
+@pytest.mark.parametrize("name", ["../run.csv", "/tmp/run.csv", ".run.csv", "run.exe", "", "a\0.csv"])
 def test_a_file_is_taken_in_under_a_plain_name_of_its_kind(workbench, name):
     with pytest.raises(DocumentError):
         workbench.take(Asker("tune"), name, b"")
@@ -169,6 +172,20 @@ def test_a_file_that_is_there_is_not_overwritten(workbench):
     with pytest.raises(DocumentError, match="already exists"):
         workbench.take(Asker("tune"), "run.csv", b"second")
     assert (workbench.directory / "runs" / "run.csv").read_bytes() == b"first"
+
+
+def test_what_a_full_disk_cuts_off_is_not_left(workbench, monkeypatch):
+    class FullDisk(io.BytesIO):
+        def write(self, content):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    opened = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, mode="r", **more: (opened(path, mode, **more).close(), FullDisk())[1]
+    )
+    with pytest.raises(OSError, match="No space"):
+        workbench.take(Asker("tune"), "run.csv", b"first")
+    assert not (workbench.directory / "runs" / "run.csv").exists()
 
 
 def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
@@ -182,6 +199,18 @@ def test_the_state_names_runs_pages_and_what_the_key_allows(workbench):
     assert page["model"].endswith("diagnose_1/model.yaml")
     assert state["axis"]["drive"] == "simulated, in process"
     json.dumps(state)
+
+
+def test_what_is_gone_again_and_reports_of_others_do_not_end_the_state(workbench):
+    bench = with_results(workbench)
+    (bench.directory / shelf.RUNS / "gone.mcap").symlink_to(bench.directory / "nowhere")
+    for name, content in (("list", "[1]"), ("text", '{"verdict": "fine"}'), ("old", '{"verdict": {"finding": "x"}}')):
+        (bench.directory / name).mkdir()
+        (bench.directory / name / "report.json").write_text(content)
+        (bench.directory / name / "report.html").write_text("<!DOCTYPE html>")
+    state = workbench.state(Asker("look"))
+    assert [run["name"] for run in state["runs"]] == ["one.mcap"]
+    assert [page["name"] for page in state["pages"]] == ["diagnose_1"]
 
 
 def test_an_axis_file_with_a_mistake_is_reported_and_the_bench_lives(workbench, axis):
@@ -266,6 +295,26 @@ def test_files_are_those_pages_of_the_directory_and_no_others(served, name):
     key = served.bench.keys.of("tune")
     assert asked(served, "GET", f"/{key}/files/diagnose_1/report.html")[0] == 200
     assert asked(served, "GET", f"/{key}/files/{name}")[0] == 404
+
+
+def test_a_page_is_found_whatever_its_directory_is_called(served):
+    folder = served.bench.directory / "Versuch #2, 50 % Öl?"
+    (served.bench.directory / "diagnose_1").rename(folder)
+    key = served.bench.keys.of("look")
+    (page,) = json.loads(asked(served, "GET", f"/{key}/state")[2])["pages"]
+    assert page["name"] == folder.name
+    assert asked(served, "GET", f"/{key}/files/{page['page']}")[0] == 200
+
+
+def test_a_file_that_is_cut_off_on_its_way_is_not_taken_in(served):
+    port, key = served._server.server_address[1], served.bench.keys.of("tune")
+    head = f"POST /{key}/take?name=run.csv HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\n"
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as connection:
+        connection.sendall(f"{head}Content-Length: 100\r\n\r\ntime_s\n".encode())
+        connection.shutdown(socket.SHUT_WR)
+        with connection.makefile("rb") as answer:
+            assert b" 400 " in answer.readline()
+    assert not (served.bench.directory / "runs" / "run.csv").exists()
 
 
 def test_what_is_too_large_is_refused_before_it_is_read(served):
