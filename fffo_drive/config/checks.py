@@ -13,13 +13,14 @@ from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
 from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
+from ..drive.canopen.silence import LIFE_GUARDING
 from ..identification.excitation import predict_motion
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
 from .axis import AxisFile, hold_dead_band_rev, loop_axis
 from .drive_section import CanopenDriveSection
 from .resolution import resolution_of
-from .sections import VelocitySection
+from .sections import EnvelopeSection, VelocitySection
 
 HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 # of the loop's rate: where 2 pi bandwidth / rate is above 1.3 the estimate takes the position's noise as it comes
@@ -199,7 +200,7 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
         load, chain = bus_sum(axis, model)
     except MappingError as error:  # it lists the keys of this section
         return [f"drive: {error}; the period is 1 / loop.rate_hz" if "period" in str(error) else f"drive: {error}"]
-    problems = []
+    problems = silence_problems(axis.drive, axis.envelope)
     highest_hz = axis.drive.highest_rate_hz
     if highest_hz is not None and axis.loop.rate_hz > highest_hz:
         problems.append(
@@ -215,6 +216,25 @@ def bus_problems(axis: AxisFile, model: ModelFile) -> list[str]:
         problems.append(
             f"loop.rate_hz: SYNC, feedback and command take {chain.typical_s * 1e6:.0f} us of a period of "
             f"{chain.period_s * 1e6:.0f} us: lower the rate; `fffo-drive config check` prints the sum"
+        )
+    return problems
+
+
+def silence_problems(drive: CanopenDriveSection, limits: EnvelopeSection) -> list[str]:
+    """Limits of the drive's silence that are shorter than the time between two of its messages."""
+    problems = []
+    if drive.status_every >= limits.status_missing_ticks:
+        problems.append(
+            f"envelope.status_missing_ticks: {limits.status_missing_ticks} SYNCs, but the statusword comes with every "
+            f"{drive.status_every}th (drive.status_every): raise the one or lower the other"
+        )
+    guarded = drive.silence_detection == LIFE_GUARDING  # the drive answers our requests
+    key = "heartbeat_ms" if guarded else "drive_heartbeat_ms"
+    sent_s = getattr(drive, key) / 1e3
+    if 0.0 < limits.heartbeat_timeout_s <= sent_s:
+        problems.append(
+            f"envelope.heartbeat_timeout_s: {limits.heartbeat_timeout_s:g} s, but the drive's heartbeat comes every "
+            f"{sent_s:g} s (drive.{key}): raise the one or lower the other"
         )
     return problems
 

@@ -36,6 +36,7 @@ def config():
         node_id=NODE,
         listen_s=0.02,
         period_ns=50_000_000,  # the loop counts as running for twenty of these after its last sign
+        command_timeout_ms=100,
         counts_per_rev=32768,
         velocity_units_per_rps=1000.0,
         torque_constant_nm_per_a=0.1,

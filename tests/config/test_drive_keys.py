@@ -7,6 +7,7 @@ from config.test_files import BUS, errors_of, write
 
 from fffo_drive.cli import main
 from fffo_drive.config.axis import loop_config, model_of, read_axis
+from fffo_drive.config.checks import bus_problems
 from fffo_drive.config.drive_section import CanopenDriveSection
 from fffo_drive.config.resolution import coarse_words, resolution_of
 from fffo_drive.units import NS_PER_S
@@ -88,3 +89,37 @@ def test_config_check_tells_the_counts(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "one per mille of 0x6071 is" in said
     assert "one unit of 0x606C is 3.05e-05 rps" in said
+
+
+@pytest.mark.parametrize(
+    ("keys", "envelope", "said"),
+    [
+        (("status_every: 100",), "", "envelope.status_missing_ticks: 100 SYNCs, but the statusword comes with every"),
+        (("drive_heartbeat_ms: 500",), "", "envelope.heartbeat_timeout_s: 0.5 s, but the drive's heartbeat comes"),
+        (("heartbeat_ms: 500", "heartbeat_timeout_ms: 1000", "silence_detection: life_guarding"), "",
+         "the drive's heartbeat comes every 0.5 s (drive.heartbeat_ms)"),
+        (("status_every: 99", "drive_heartbeat_ms: 499"), "", ""),
+        (("drive_heartbeat_ms: 5000",), "heartbeat_timeout_s: 0", ""),
+    ],
+)  # fmt: skip
+def test_a_limit_shorter_than_the_time_between_two_messages_is_refused(tmp_path, keys, envelope, said):
+    text = BUS.replace("node_id: 1", "\n  ".join(["node_id: 1", *keys]))
+    path = write(tmp_path, text.replace("envelope:", f"envelope:\n  {envelope}"))
+    axis = read_axis(path)
+    found = bus_problems(axis, model_of(path, axis))
+    assert [said in text for text in found] == [True] * bool(said)
+
+
+def test_a_command_timeout_shorter_than_two_periods_is_refused(tmp_path):
+    at_50_hz = BUS + "loop: {rate_hz: 50}\n"
+    path = write(tmp_path, at_50_hz)
+    axis = read_axis(path)
+    assert bus_problems(axis, model_of(path, axis)) == [
+        "drive: command_timeout_ms 20: at least twice the period (40 ms), or one late command stops the drive; "
+        "the period is 1 / loop.rate_hz"
+    ]
+    for timeout_ms in (0, 40):
+        axis = read_axis(
+            write(tmp_path, at_50_hz.replace("node_id: 1", f"node_id: 1\n  command_timeout_ms: {timeout_ms}"))
+        )
+        assert bus_problems(axis, model_of(path, axis)) == []

@@ -197,6 +197,12 @@ def _problems(config: CanopenDriveConfig) -> Iterator[str]:
         yield (f"abort_connection_option {config.abort_connection_option}: 1 fault, 2 disable voltage, 3 quick stop")
     if config.silence_detection == RPDO_TIMER and not config.command_timeout_ms:
         yield "command_timeout_ms 0: silence_detection rpdo_timer needs it"
+    two_periods_ms = 2 * config.period_ns / 1e6
+    if 0 < config.command_timeout_ms < two_periods_ms:
+        yield (
+            f"command_timeout_ms {config.command_timeout_ms}: at least twice the period "
+            f"({two_periods_ms:g} ms), or one late command stops the drive"
+        )
     for name in ("target_units_per_a", "torque_units_per_a"):
         if (value := getattr(config, name)) is not None and not value > 0:
             yield f"{name} {value}: must be above 0"
