@@ -31,6 +31,7 @@ RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
 RATED_CURRENT_UNITS = {"mA": 1e-3, "mA_rms": 1e-3 * math.sqrt(2.0)}  # A of the torque constant for one of 0x6075
 
 Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
+OptionCode = Annotated[int, Field(ge=-(1 << 15), le=(1 << 15) - 1)]  # INTEGER16
 DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated drive, in process")
 
 
@@ -158,8 +159,8 @@ class CanopenDriveSection(StrictRecord):
     status_event: Annotated[
         Literal[0, 254, 255], Field(description="transmission type of the statusword on change; 0: with the next SYNC")
     ] = 255
-    quick_stop_option: Annotated[int | None, Field(description="0x605A; null: the drive's own")] = 2
-    fault_reaction_option: Annotated[int | None, Field(description="0x605E; null: the drive's own")] = 2
+    quick_stop_option: Annotated[OptionCode | None, Field(description="0x605A; null: the drive's own")] = 2
+    fault_reaction_option: Annotated[OptionCode | None, Field(description="0x605E; null: the drive's own")] = 2
     max_torque_permille: Annotated[
         int | None, Field(ge=1, le=65535, description="0x6072, torque limit in the drive; null: the drive's own")
     ] = None

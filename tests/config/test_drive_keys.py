@@ -48,6 +48,8 @@ def test_codes_reach_the_drive(tmp_path):
         ("warning_codes: [0]", "warning_codes"), ("warning_codes: [0x10000]", "warning_codes"),
         ("unserved_status_bits: [10]", "unserved_status_bits"), ("enable_delay_s: -0.1", "enable_delay_s"),
         ("enable_delay_s: 11", "enable_delay_s"),
+        ("quick_stop_option: 65538", "drive.quick_stop_option: a number from -32768 to 32767 is needed (got 65538)"),
+        ("fault_reaction_option: -32769", "drive.fault_reaction_option"),
     ],
 )  # fmt: skip
 def test_what_is_no_code_no_bit_and_no_delay_is_refused_with_its_key(tmp_path, key, said):
