@@ -45,6 +45,7 @@ def test_the_mapping_of_the_house():
     assert [item.word for item in event.objects] == [0x60410010]
     assert [(p.cob_id, p.transmission) for p in CONFIG.answers] == [(0x185, 1), (0x285, 10), (0x385, 255)]
     assert event.inhibit_ns > 0
+    assert feedback_pdos(5, 10, 254)[2].inhibit_ns == event.inhibit_ns  # an event as well, of the vendor's kind
     assert feedback_pdos(5, 10, 0)[2].inhibit_ns == 0  # with the next SYNC: nothing to hold back
 
 

@@ -1,7 +1,7 @@
 """PDO mappings, their byte layouts as tables for the loop, and the scaling.
 
 A TPDO of CiA 301 has one transmission type, so "every n-th SYNC and on change of state" takes two: TPDO2
-carries statusword and torque with every n-th SYNC, TPDO3 the statusword alone on the event (type 255,
+carries statusword and torque with every n-th SYNC, TPDO3 the statusword alone on the event (types 254 and 255,
 kept apart by an inhibit time; type 0, with the next SYNC after the event, for drives that know it). All
 of it is configuration.
 """
@@ -127,7 +127,7 @@ def feedback_pdos(
     """Motion with each SYNC, status and torque with every n-th, status on event."""
     status = MappedObject(STATUSWORD, 0, 16)
     motion = (MappedObject(VELOCITY, 0, 32), MappedObject(POSITION, 0, 32))
-    inhibit_ns = DEFAULT_STATUS_INHIBIT_NS if status_event == ON_EVENT else 0
+    inhibit_ns = DEFAULT_STATUS_INHIBIT_NS if status_event > MAX_SYNC_TYPE else 0
     cyclic = (
         PdoMap(slots.motion, can.TPDO1 + node_id, EVERY_SYNC, motion),
         PdoMap(slots.status, can.TPDO2 + node_id, status_every, (status, torque)),
