@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from pydantic import ValidationError
+
 from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.needs import has_mode, mode_text
 from ..drive.canopen.object_map import STANDARD_SLOTS
@@ -19,6 +21,10 @@ from .drive_section import RATED_CURRENT_UNITS, RATED_TORQUE_UNITS, CanopenDrive
 
 FULL_TORQUE_IN_A_MILLISECOND = 1_000_000  # 0x6087, per mille a second: profile torque that acts like a cyclic one
 PLACEHOLDER_PERIOD_NS, PLACEHOLDER_NM_PER_A = 1_000_000, 1.0  # where only objects are asked for
+PLACEHOLDERS = {
+    "kind": "canopen", "bus": "loopback:0", "node_id": 1, "velocity_units_per_rps": 1.0, "rated_torque_nm": 1.0,
+    "counts_per_rev": 2,
+}  # fmt: skip
 
 
 class DriveProposal(NamedTuple):
@@ -81,8 +87,18 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Dri
     unit_nm = RATED_TORQUE_UNITS[given.get("rated_torque_unit", "mNm")]
     unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
     for key, value in reported_units(objects, unit_nm, unit_a).items():
-        put(key, value, "reported by the drive")
+        if _allowed(key, value):  # what is not set is often 0xFFFFFFFF
+            put(key, value, "reported by the drive")
     return DriveProposal(section, sources, tuple(stand_ins), tuple(unit_remarks(objects)))
+
+
+def _allowed(key: str, value: Any) -> bool:
+    """Whether a drive section takes this value."""
+    try:
+        CanopenDriveSection.model_validate({**PLACEHOLDERS, key: value})
+    except ValidationError:
+        return False
+    return True
 
 
 def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:
@@ -90,7 +106,6 @@ def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:
 
     Raises MappingError, and pydantic's ValidationError for keys that no section takes.
     """
-    needed = {"velocity_units_per_rps": 1.0, "rated_torque_nm": 1.0, "counts_per_rev": 2}
-    placed = {"kind": "canopen", "bus": "loopback:0", "node_id": node_id, "master_id": 127 if node_id != 127 else 126}
-    found = CanopenDriveSection.model_validate({**placed, **needed, **section})
+    placed = {"node_id": node_id, "master_id": 127 if node_id != 127 else 126}
+    found = CanopenDriveSection.model_validate({**PLACEHOLDERS, **placed, **section})
     return found.drive_config(PLACEHOLDER_NM_PER_A, PLACEHOLDER_PERIOD_NS)

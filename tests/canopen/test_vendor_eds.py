@@ -250,6 +250,26 @@ def test_the_value_of_a_dcf_stands_before_its_default_and_one_to_one_is_no_encod
 
 
 @pytest.mark.parametrize(
+    ("index", "value", "key"),
+    [
+        ("6076", "0xFFFFFFFF", "rated_torque_nm"),
+        ("6075", "0xFFFFFFFF", "rated_current_a"),
+        ("60A8", "0x80410000", "counts_per_rev"),  # degrees times 10^-128
+    ],
+)
+def test_a_default_that_no_key_takes_is_left_to_fill_in(tmp_path: Path, index: str, value: str, key: str) -> None:
+    text = Path(path_of("capitals")).read_text(encoding="latin-1")
+    before, _, after = text.partition(f"\n[{index}]\n")
+    entry = f"\n[{index}]\nParameterName=x\nObjectType=7\nDataType=7\nAccessType=rw\nDefaultValue={value}\n"
+    path = tmp_path / "unset.eds"
+    path.write_text(before + entry + after[after.find("\n[") :] if after else text + entry, encoding="latin-1")
+    fitness = fitness_of(read_eds(str(path), NODE), NODE)
+    assert key not in fitness.section
+    assert fitness.refusals == ()
+    assert main(["drive-info", str(path)]) == 0
+
+
+@pytest.mark.parametrize(
     ("unit", "counts", "wanted"),
     [
         (RPM, None, 60.0),  # rpm: EPOS4, Nanotec
