@@ -21,10 +21,7 @@ from .drive_section import RATED_CURRENT_UNITS, RATED_TORQUE_UNITS, CanopenDrive
 
 FULL_TORQUE_IN_A_MILLISECOND = 1_000_000  # 0x6087, per mille a second: profile torque that acts like a cyclic one
 PLACEHOLDER_PERIOD_NS, PLACEHOLDER_NM_PER_A = 1_000_000, 1.0  # where only objects are asked for
-PLACEHOLDERS = {
-    "kind": "canopen", "bus": "loopback:0", "node_id": 1, "velocity_units_per_rps": 1.0, "rated_torque_nm": 1.0,
-    "counts_per_rev": 2,
-}  # fmt: skip
+PLACEHOLDERS = {"kind": "canopen", "bus": "loopback:0", "node_id": 1, "rated_torque_nm": 1.0}
 
 
 class DriveProposal(NamedTuple):

@@ -19,6 +19,7 @@ from fffo_drive.config.drive_profile import (
     read_profile,
     shipped_profiles,
 )
+from fffo_drive.config.drive_proposal import config_of
 from fffo_drive.config.drive_section import CanopenDriveSection
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.parameters import read_model
@@ -112,6 +113,12 @@ def test_a_wrong_write_beside_those_of_a_profile_names_its_key(tmp_path: Path, w
 def test_counts_of_the_file_replace_bits_of_the_profile(tmp_path: Path, keys: tuple[str, dict[str, object]]) -> None:
     (tmp_path / "mine.yaml").write_text(f"family: x\ntried: nothing\ndrive:\n  {keys[0]}\n")
     assert read_axis(axis_file(tmp_path, profile="mine", **keys[1])).drive.counts == 2000
+
+
+def test_requirements_are_checked_beside_a_profile_with_resolver_bits() -> None:
+    """Bring-up asks the drive for nothing where the keys make no configuration."""
+    assert config_of({"resolver_bits": 12}, 5).counts_per_rev == 4096
+    assert config_of({"counts_per_rev": 2000}, 127).master_id == 126
 
 
 def test_a_profile_beside_the_axis_file_stands_before_one_that_ships(tmp_path: Path) -> None:
