@@ -257,6 +257,16 @@ def test_the_mode_must_be_displayed(config):
 
 
 @pytest.mark.parametrize(
+    ("mode", "raw"), [(-5, "fb 00 00 00"), (-5, "fb ff ff ff"), (10, "0a aa aa aa"), (10, "0a 00")]
+)
+def test_a_mode_display_in_more_bytes_is_the_same_mode(config, mode, raw):
+    """An expedited answer that does not tell its size (0x42) has four bytes."""
+    config = dataclasses.replace(config, mode=mode, modes_listed=False, start_timeout_s=0.3)
+    with ScriptedNode(config.bus, NODE, keep={(0x6061, 0): bytes.fromhex(raw)}), CanopenDrive(config) as drive:
+        assert drive.identity.vendor_id == 0x11
+
+
+@pytest.mark.parametrize(
     ("index", "raw", "text"),
     [(0x6076, 2000, "0x6076:00 says 2 Nm, the configuration rated_torque_nm: 1.0"),
      (0x6075, 9000, "0x6075:00 says 9 A, the configuration rated_current_a: 10.0")],

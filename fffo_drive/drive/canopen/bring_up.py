@@ -293,13 +293,18 @@ def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
 def _await_mode(service: Service, config: CanopenDriveConfig, meanwhile: Callable[[], None]) -> None:
     """Wait until 0x6061 shows the mode. Raises DriveRefusedError."""
     deadline_s = time.monotonic() + config.start_timeout_s
-    while (shown := service.read_int(MODE_DISPLAY, 0, signed=True)) != config.mode:
+    while (shown := _shown_mode(service)) != config.mode:
         if time.monotonic() > deadline_s:
             raise DriveRefusedError(
                 f"node {service.node_id}: mode {mode_text(config.mode)} was set, but 0x6061:00 says {shown}; "
                 "a drive that shows it later takes drive.mode_display: with_sync or not_checked"
             )
         meanwhile()
+
+
+def _shown_mode(service: Service) -> int:
+    """0x6061 has 8 bits; an answer that does not tell its size has four bytes, the others without meaning."""
+    return int.from_bytes(service.read(MODE_DISPLAY, 0)[:1], "little", signed=True)
 
 
 def _one_sync(service: Service, send_sync: Callable[[], None]) -> None:

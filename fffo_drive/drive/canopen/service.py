@@ -147,14 +147,14 @@ class Service:
         value = f"write {data.hex(' ')} to"
         self._transact(index, sub, value, lambda: self._client.download(index, sub, data))
 
-    def read_int(self, index: int, sub: int, *, signed: bool = False) -> int:
-        """An object as a number, of whatever size the drive sends."""
-        return int.from_bytes(self.read(index, sub), "little", signed=signed)
+    def read_int(self, index: int, sub: int) -> int:
+        """An object as an unsigned number, of whatever size the drive sends."""
+        return int.from_bytes(self.read(index, sub), "little")
 
-    def read_optional_int(self, index: int, sub: int, *, signed: bool = False) -> int | None:
+    def read_optional_int(self, index: int, sub: int) -> int | None:
         """As `read_int`; None when the drive does not have the object."""
         try:
-            return self.read_int(index, sub, signed=signed)
+            return self.read_int(index, sub)
         except SdoRefusedError as refusal:
             if refusal.absent:
                 return None
