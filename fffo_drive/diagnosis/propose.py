@@ -73,6 +73,11 @@ class Proposal(NamedTuple):
     score: Score
 
     @property
+    def without_columns(self) -> Proposal:
+        """The proposal alone: the columns of all proposals take a fifth of the memory, and a refit needs none."""
+        return self._replace(columns=np.zeros((0, 0)))
+
+    @property
     def worth(self) -> float:
         """Its log-likelihood gain minus the BIC penalty of its free numbers."""
         numbers = self.score.rank + sum(not p.held for p in law_of(self.name).shapes if p.name in self.effect.shapes)
