@@ -27,7 +27,7 @@ from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
 from .daemon.serving import torque_on
-from .documents import DocumentError
+from .documents import DocumentError, check
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary, summarise
@@ -106,7 +106,7 @@ class MeasuredRun:
     @property
     def duration_s(self) -> float:
         """Length in seconds."""
-        return float(self.time_s[-1] - self.time_s[0])
+        return float(self.time_s[-1] - self.time_s[0]) if self.time_s.size else 0.0
 
     @property
     def metrics(self) -> ErrorMetrics:
@@ -148,7 +148,7 @@ class MeasuredRun:
         rows = [
             f"<tr><td>{name}</td><td>{UNITS[name]}</td><td>{np.min(values):.4g}</td><td>{np.max(values):.4g}</td></tr>"
             for name, values in self.columns.items()
-            if name in UNITS and np.issubdtype(np.asarray(values).dtype, np.floating)
+            if name in UNITS and np.issubdtype(np.asarray(values).dtype, np.floating) and np.size(values)
         ]
         table = f"<table><tr><th>signal</th><th>unit</th><th>least</th><th>most</th></tr>{''.join(rows)}</table>"
         return f"<p>{escape(repr(self))}</p>{self._picture()}<details><summary>signals</summary>{table}</details>"
@@ -158,6 +158,8 @@ class MeasuredRun:
         from .report.figures import Figure, PlotAxis, Series, Uniform
         from .report.static import write_figure  # loads slowly
 
+        if self.time_s.size < 2:
+            return ""
         period_s = float(np.median(np.diff(self.time_s)))
         series = tuple(
             Series(name, Uniform(0.0, period_s), np.asarray(self.columns[name], float), colour)
@@ -191,21 +193,28 @@ def read_run(
     """Read a run: a recording (.mcap), a table (CSV, MAT), or a mapping of arrays (n,) by signal name.
 
     `facts`: what is declared about the drive, or the file that says it; recordings carry it.
-    `torque_constant_nm_per_a` (Nm/A) alone is enough. Raises RecordingError or DocumentError.
+    `torque_constant_nm_per_a` (Nm/A) stands before both, and alone is enough. Raises RecordingError or DocumentError.
     """
-    declared = _facts(facts, torque_constant_nm_per_a)
+    carries = not isinstance(source, Mapping) and Path(source).name.endswith(RECORDINGS)
+    own = _facts_carried(Path(source), torque_constant_nm_per_a) if carries and facts is None else None
+    declared = _facts(facts or own, torque_constant_nm_per_a)
     if isinstance(source, Mapping):
         arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
         if "time_s" not in arrays:
             raise DocumentError(f"{name or 'run'}: time_s: a mapping of arrays needs the time of each sample, in s")
+        shape = arrays["time_s"].shape
+        other = next((key for key, values in arrays.items() if values.shape != shape), "time_s")
+        if len(shape) != 1 or shape[0] < 2 or other != "time_s":
+            raise DocumentError(
+                f"{name or 'run'}: {other}: shape {arrays[other].shape}, time_s has {shape}: arrays (n,) of one length "
+                "are needed, at least 2 samples"
+            )
         return MeasuredRun(name or "run", arrays, declared)
     path = Path(source)
-    if not path.name.endswith(RECORDINGS):
+    if not carries:
         table = read_table(path, None if declared is None else declared.column_map(), uneven_time=True)
         return MeasuredRun(name or path.name, dict(table.columns), declared, path)
     recording = read_recording(path)
-    if declared is None:
-        declared = facts_for(None, [path])
     if "profile_sample" not in recording.columns:
         return MeasuredRun(name or path.name, dict(recording.columns), declared, path)
     return MeasuredRun(
@@ -219,9 +228,18 @@ def _facts(facts: DriveFacts | str | Path | None, torque_constant_nm_per_a: floa
         facts = read_facts(facts)
     if torque_constant_nm_per_a is None:
         return facts
-    if facts is not None:
-        return facts.model_copy(update={"torque_constant_nm_per_a": torque_constant_nm_per_a})
-    return DriveFacts(torque_constant_nm_per_a=torque_constant_nm_per_a)
+    given = {} if facts is None else facts.model_dump(exclude_none=True)
+    return check(given | {"torque_constant_nm_per_a": float(torque_constant_nm_per_a)}, DriveFacts, "facts", {})
+
+
+def _facts_carried(path: Path, torque_constant_nm_per_a: float | None) -> DriveFacts | None:
+    """The facts in a recording; None where it has none, and the constant is enough. Raises DocumentError."""
+    try:
+        return facts_for(None, [path])
+    except DocumentError:
+        if torque_constant_nm_per_a is None:
+            raise
+        return None
 
 
 def simulate(
@@ -235,14 +253,13 @@ def simulate(
     plan, chosen = _plan(axis, toggle, profile)
     found = simulating.simulate(plan, chosen, seed)
     rows = found.rows
+    active = np.flatnonzero(rows["profile_sample"] >= 0)
+    rows = rows[int(active[0]) : int(active[-1]) + 1] if active.size else rows
     columns = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
     columns["time_s"] = (rows["deadline_ns"] - rows["deadline_ns"][0]) * 1e-9
-    active = np.flatnonzero(rows["profile_sample"] >= 0)
-    inside = slice(int(active[0]), int(active[-1]) + 1) if active.size else slice(None)
-    columns = {name: values[inside] for name, values in columns.items()}
     facts = DriveFacts.model_validate(facts_of_axis(plan.axis, plan.model))
     samples = plan.profile.values.size
-    return MeasuredRun(plan.axis.name, columns, facts, None, found.fault, rows[inside], samples)
+    return MeasuredRun(plan.axis.name, columns, facts, None, found.fault, rows, samples)
 
 
 def run(

@@ -72,6 +72,7 @@ def test_a_simulated_run_has_signals_with_units_and_the_metrics_of_its_error(sim
     inside = simulated["profile_sample"] < simulated.profile_samples
     expected = error_metrics(error_rps[inside], 5e-4)
     assert simulated.metrics == pytest.approx(expected, rel=1e-12)
+    assert simulated.time_s[0] == 0.0
     assert simulated.duration_s == pytest.approx(12.25, abs=1e-3)  # and the standstill after it
     assert repr(simulated).startswith("MeasuredRun('simulated': 245")
     page = simulated._repr_html_()
@@ -135,6 +136,32 @@ def arrays_of(run, name, torque_constant_nm_per_a=0.148):
     return fd.read_run(
         {key: run[key] for key in ARRAYS}, torque_constant_nm_per_a=torque_constant_nm_per_a, name=name
     )  # fmt: skip
+
+
+def test_a_torque_constant_replaces_that_of_a_recording_and_keeps_its_other_facts(recorded):
+    found = fd.read_run(recorded.path, torque_constant_nm_per_a=0.2).facts
+    assert found == recorded.facts.model_copy(update={"torque_constant_nm_per_a": 0.2})
+    assert (found.resolver_bits, found.absolute_angle) == (15, True)
+    for wrong in (-1.0, 0.0, float("nan")):
+        for given in (None, recorded.facts):
+            with pytest.raises(DocumentError, match="torque_constant_nm_per_a"):
+                fd.read_run(recorded.path, facts=given, torque_constant_nm_per_a=wrong)
+
+
+@pytest.mark.parametrize("position", [np.zeros(9), np.zeros((10, 1)), np.zeros(0)])
+def test_arrays_of_other_lengths_are_named(position):
+    with pytest.raises(DocumentError, match=r"axis: position_rev: shape \("):
+        fd.read_run({"time_s": np.arange(10.0), "position_rev": position}, name="axis")
+    with pytest.raises(DocumentError, match="at least 2 samples"):
+        fd.read_run({"time_s": np.zeros(1), "position_rev": np.zeros(1)})
+
+
+def test_a_recording_cut_off_before_its_rows_is_shown_as_empty(recorded, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recorded.path.read_bytes()[:9000])
+    run = fd.read_run(cut)
+    assert repr(run) == f"MeasuredRun('cut.mcap': 0 samples, 0 s, {len(run.columns)} signals)"
+    assert "0 samples" in run._repr_html_()
 
 
 def test_runs_of_one_name_are_two_runs(simulated):
