@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import struct
+from pathlib import Path
 
 import pytest
 from scripted_node import NO_OBJECT, RANGE, READ_ONLY, ScriptedNode, servo_dictionary
@@ -12,6 +13,7 @@ from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
 from fffo_drive.drive.canopen.object_map import PdoSlots, feedback_pdos
+from fffo_drive.drive.canopen.sdo_writes import SdoWrite
 from fffo_drive.drive.canopen.service import Service, service_filters
 from fffo_drive.drive.canopen.service_queue import ServiceQueue
 from fffo_drive.drive.port import BusUnavailableError, DriveRefusedError
@@ -234,6 +236,26 @@ def test_a_torque_limit_is_written_when_asked_for(config):
 def test_no_drive(config, device_type):
     objects = servo_dictionary(NODE) | {(0x1000, 0): struct.pack("<I", device_type)}
     assert f"0x{device_type:08X}, which is no CiA 402 drive" in refusal(config, ScriptedNode(config.bus, NODE, objects))
+
+
+VENDORS = (
+    SdoWrite(0x3000, 0, 7, 2, "before_mapping", True, (), "a setting"),
+    SdoWrite(0x3000, 0, 9, 2, "after_disable", True, (), "a setting"),
+)
+
+
+@pytest.mark.parametrize("other", ["no drive", "the EDS is of another drive"])
+def test_nothing_is_written_to_another_device(config, other):
+    objects = servo_dictionary(NODE) | {(0x3000, 0): bytes(2)}
+    if other == "no drive":
+        objects[0x1000, 0] = struct.pack("<I", 0x00030191)
+    else:
+        config = dataclasses.replace(config, eds=str(Path(__file__).parent / "eds" / "capitals.eds"))
+    node = ScriptedNode(config.bus, NODE, objects)
+    text = refusal(dataclasses.replace(config, sdo=VENDORS), node)
+    assert "no CiA 402 drive" in text or "is for vendor 0x0000FEED, the drive says 0x00000011" in text
+    assert node.written == []
+    assert node.commands == [0x82, 0x80]
 
 
 def test_a_servo_drive_with_further_bits_is_one(config):

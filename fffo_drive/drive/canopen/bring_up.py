@@ -42,14 +42,17 @@ TORQUE_SLOPE = 0x6087  # per mille of the rated torque per second
 SYNC_DISTANCE_S = 0.002  # before the loop runs, for a mode display that is updated with SYNC
 
 
-def bring_up(service: Service, config: CanopenDriveConfig) -> DriveIdentity:
+def bring_up(
+    service: Service, config: CanopenDriveConfig, check: Callable[[DriveIdentity], None] = lambda identity: None
+) -> DriveIdentity:
     """Reset the node's communication, configure and verify everything; leaves it pre-operational.
 
-    Raises DriveRefusedError or BusUnavailableError.
+    `check` refuses another drive before anything is written to it. Raises DriveRefusedError or BusUnavailableError.
     """
     for _ in range(2):  # a drive that is being switched on sends two boot-up messages
         _reset(service, config)
         identity = read_identity(service)
+        check(identity)
         _check_drive(service, config)
         write_phase(service, config.sdo, "before_mapping")
         _check_ratings(service, config)

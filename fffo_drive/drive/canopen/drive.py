@@ -96,9 +96,7 @@ class CanopenDrive:
             self._refuse_other_masters()
             link = open_link(config.bus, filters=service_filters(config.node_id))
             self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts)
-            identity = bring_up(self._service, config)
-            if self._eds is not None:
-                check_identity(self._eds, identity, str(config.eds))
+            identity = bring_up(self._service, config, self._check_identity)
             self._link = open_link(config.bus, filters=self._cyclic_filters())
             self._port = make_port(config, self._link, queue.memory)
             start(self._service, config, self._send_sync)
@@ -113,6 +111,10 @@ class CanopenDrive:
             raise
         self.identity = identity
         return identity
+
+    def _check_identity(self, identity: DriveIdentity) -> None:
+        if self._eds is not None:
+            check_identity(self._eds, identity, str(self.config.eds))
 
     def _send_sync(self) -> None:
         """Send on the loop's link, before the loop runs."""
@@ -206,11 +208,12 @@ class CanopenDrive:
     def close(self, loop_ended: bool = True) -> None:
         """Release the drive after the loop: no torque, no voltage, pre-operational. Never raises.
 
-        The drive is also told to stop monitoring our heartbeat, as an orderly release is not a fault. `loop_ended`
-        False: the loop's link stays open, so that a descriptor to which a hung thread may still write is not reused.
+        The drive is also told to stop monitoring our heartbeat, as an orderly release is not a fault. A node to which
+        nothing was written is left alone: it may be another device. `loop_ended` False: the loop's link stays open, so
+        that a descriptor to which a hung thread may still write is not reused.
         """
         service, link = self._service, self._link
-        if service is not None:
+        if service is not None and service.has_written:
             service.send_directly()
             if link is not None:
                 with contextlib.suppress(LinkError):

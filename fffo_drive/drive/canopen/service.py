@@ -95,6 +95,7 @@ class Service:
         self.others: set[int] = set()  # node ids of other heartbeats and boot-ups
         self.emergencies: deque[Emergency] = deque(maxlen=KEPT_EMERGENCIES)
         self.failure: LinkError | None = None  # of the last attempt to receive
+        self.has_written = False  # to an object of the node
         self._attempts = attempts
         self._requests = 0
         self._responses = 0
@@ -144,6 +145,7 @@ class Service:
 
     def write(self, index: int, sub: int, data: bytes) -> None:
         """Download an object. Raises as `read`."""
+        self.has_written = True
         value = f"write {data.hex(' ')} to"
         self._transact(index, sub, value, lambda: self._client.download(index, sub, data))
 
