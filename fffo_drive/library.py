@@ -195,9 +195,6 @@ def read_run(
     `facts`: what is declared about the drive, or the file that says it; recordings carry it.
     `torque_constant_nm_per_a` (Nm/A) stands before both, and alone is enough. Raises RecordingError or DocumentError.
     """
-    carries = not isinstance(source, Mapping) and Path(source).name.endswith(RECORDINGS)
-    own = _facts_carried(Path(source), torque_constant_nm_per_a) if carries and facts is None else None
-    declared = _facts(facts or own, torque_constant_nm_per_a)
     if isinstance(source, Mapping):
         arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
         if "time_s" not in arrays:
@@ -209,8 +206,11 @@ def read_run(
                 f"{name or 'run'}: {other}: shape {arrays[other].shape}, time_s has {shape}: arrays (n,) of one length "
                 "are needed, at least 2 samples"
             )
-        return MeasuredRun(name or "run", arrays, declared)
+        return MeasuredRun(name or "run", arrays, _facts(facts, torque_constant_nm_per_a))
     path = Path(source)
+    carries = path.name.endswith(RECORDINGS)
+    own = _facts_carried(path, torque_constant_nm_per_a) if carries and facts is None else None
+    declared = _facts(facts or own, torque_constant_nm_per_a)
     if not carries:
         table = read_table(path, None if declared is None else declared.column_map(), uneven_time=True)
         return MeasuredRun(name or path.name, dict(table.columns), declared, path)
