@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 
@@ -168,10 +169,10 @@ def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
     if not record.passed:
         remedy = next((check.remedy for check in record.checks if check.verdict == FAILED and check.remedy), "")
         return remedy or "remove the cause, and commission again"
-    name = os.path.relpath(out, plan.path.parent)
+    name, place = os.path.relpath(out, plan.path.parent), shlex.quote(str(plan.path))
     if _named(plan, out):
-        return f"fffo-drive run {plan.path}"
-    return f"fffo-drive commission {plan.path} --accept, which adds the line commissioning: {name}"
+        return f"fffo-drive run {place}"
+    return f"fffo-drive commission {place} --accept, which adds the line commissioning: {name}"
 
 
 def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:

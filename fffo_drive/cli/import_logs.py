@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -147,7 +148,8 @@ def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) ->
         print("\n".join(cyclic_lines(done.cyclic)))
     print("\n".join(str(path) for path in (*done.recordings, done.columns_picture, done.data_picture)))
     if not done.problems:
-        print(f"next: fffo-drive identify {' '.join(map(str, done.recordings))} --out {out / 'model'}")
+        words = ["identify", *map(str, done.recordings), "--out", str(out / "model")]
+        print(f"next: fffo-drive {shlex.join(words)}")
 
 
 def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import shlex
 from pathlib import Path
 
 from ..documents import DocumentError
@@ -44,7 +45,7 @@ def execute(options: argparse.Namespace) -> int:
         path.write_bytes(content)
     print(f"{len(files)} files in {target}; next:")
     if Path(options.directory) != Path():
-        print(f"cd {options.directory}")
+        print(f"cd {shlex.quote(options.directory)}")
     print(f"fffo-drive run {FOLDER}/axis_simulated.yaml        # one profile on the simulated drive")
     print(
         f"fffo-drive close-the-loop {FOLDER}/axis_undeclared.yaml   # find an undeclared effect and compensate for it"

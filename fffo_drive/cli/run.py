@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import functools
 import json
+import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -109,7 +110,7 @@ def _served(options: argparse.Namespace, plan: Plan) -> int:
 
 def next_step(plan: Plan, files: Sequence[Path]) -> str:
     """What to type with a run's files: nothing that led to the model in service."""
-    names = " ".join(map(str, files))
+    names = shlex.join(map(str, files))
     if plan.profile.mode == MODE_VELOCITY and _is_adopted(plan):
         return f"fffo-drive evaluate --runs RUN_BEFORE_ADOPTION {names} --out DIR"
     diagnose = f"fffo-drive diagnose --fit {names} --held-out OTHER_RUN --out DIR"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 
 from ..diagnosis.results import Diagnosis, Finding, Rest
@@ -137,7 +138,7 @@ def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
     remedy = f"{_capital(law.remedy)}."
     if lead.compensable and model_path:
         return "adopt it", Line(
-            label="Next", text=remedy, command=f"fffo-drive adopt {as_typed(model_path)} --axis AXIS.yaml"
+            label="Next", text=remedy, command=f"fffo-drive adopt {shlex.quote(as_typed(model_path))} --axis AXIS.yaml"
         )
     return "fix it on the machine" if not lead.compensable else "look at it", Line(label="Next", text=remedy)
 

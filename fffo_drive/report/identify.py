@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -151,7 +152,7 @@ def _known(results: dict[str, Any], doubted: Sequence[str]) -> str:
 
 
 def _tune_command(source: IdentifySource) -> str:
-    return f"fffo-drive tune {source.model_file} --out {source.model_file.parent / 'tune'}"
+    return shlex.join(["fffo-drive", "tune", str(source.model_file), "--out", str(source.model_file.parent / "tune")])
 
 
 def _span(values: Any) -> str:

@@ -6,6 +6,7 @@ Nothing moves: the drive is never enabled here. `Talk` asks the user what no dri
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -369,7 +370,7 @@ def _propose(
         verdict=_verdict(node, findings, choice, f"{wishes.out} was written"),
         ready=ready, objects=objects.values, unreadable=dict(objects.unreadable), findings=_in_order(findings),
         trials=tuple(trials), choice=choice, axis_file=wishes.out, model_file=model_file,
-        next_command=f"fffo-drive commission {wishes.out}",
+        next_command=f"fffo-drive commission {shlex.quote(str(wishes.out))}",
     )  # fmt: skip
 
 

@@ -132,6 +132,9 @@ def test_the_verdict_says_whether_why_and_what_next(tmp_path, found, verdict, wh
     record = record_for(path, IDENTITY, found)
     assert verdict_line(record) == verdict
     assert next_line(record, make_plan(path), tmp_path / "record.yaml").endswith(what_next)
+    if record.passed:
+        blank = path.rename(tmp_path / "my axis.yaml")
+        assert f"commission '{blank}' --accept" in next_line(record, make_plan(blank), tmp_path / "record.yaml")
 
 
 @pytest.mark.parametrize("width", [80, 120])

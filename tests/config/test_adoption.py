@@ -259,6 +259,7 @@ def test_the_command_shows_its_gates_and_refuses_or_adopts(axis_path, capsys):
 def test_after_an_adoption_a_run_names_the_comparison_and_not_the_diagnosis_again(axis_path):
     files = [Path("after.mcap")]
     assert next_step(make_plan(axis_path), files).startswith("fffo-drive identify after.mcap --out DIR, or ")
+    assert "--fit 'my run.mcap' --held-out" in next_step(make_plan(axis_path), [Path("my run.mcap")])
     put_in_service(axis_path, axis_path.parent / "found" / "model.yaml", [])
     plan = make_plan(axis_path)
     assert next_step(plan, files).startswith("fffo-drive evaluate --runs RUN_BEFORE_ADOPTION after.mcap ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import shlex
 import zipfile
 
 import numpy as np
@@ -45,6 +46,10 @@ def test_a_log_becomes_a_recording_that_needs_no_facts(tmp_path, log, capsys):
     said = capsys.readouterr().out
     assert "'Actual position' [rev]: unit rev" in said
     assert "next: fffo-drive identify" in said
+    named = log.rename(tmp_path / "my log.csv")
+    assert run_import(named, "--out", tmp_path / "my logs", "--torque-constant", "0.13") == 0
+    words = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert words[-3:] == [str(tmp_path / "my logs" / "my log.mcap"), "--out", str(tmp_path / "my logs" / "model")]
     assert "assumed:" not in said  # the file gives every unit
     facts = read_facts(tmp_path / "out" / "facts.yaml")
     assert facts.torque_constant_nm_per_a == 0.13

@@ -132,6 +132,8 @@ def test_a_certain_finding_is_reported_with_cause_place_size_and_the_command_tha
     )
     assert (verdict.finding, verdict.confidence, verdict.next_step) == ("2 effects", "certain", "adopt it")
     assert verdict.lines[-1].command == "fffo-drive adopt model_after.yaml --axis AXIS.yaml"
+    blank = diagnosis_report(SOURCE._replace(model_path="my fit/model.yaml"), diagnosis(findings=(sure,))).verdict
+    assert blank.lines[-1].command == "fffo-drive adopt 'my fit/model.yaml' --axis AXIS.yaml"
     mended = diagnosis_report(SOURCE, diagnosis(findings=(replace(sure, name="backlash", compensable=False),))).verdict
     assert (mended.next_step, mended.lines[-1].command) == ("fix it on the machine", "")
     assert "coupling" in mended.lines[-1].text
