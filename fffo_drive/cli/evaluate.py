@@ -36,6 +36,7 @@ from ..report.document import SourceFile, provenance, source_file
 from ..report.evaluate import METRICS, EvaluationSource, evaluation_report
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
+from ..workflows.errors import DriveFaultError
 from ..workflows.evaluate import narrowed, run_seeds
 from ..workflows.evaluate_live import evaluate_on_bus, evaluate_recordings
 from .progress import progress_bar
@@ -86,7 +87,10 @@ def execute(options: argparse.Namespace) -> int:
         if scenario is None:
             raise DocumentError("evaluate: give a SCENARIO or --runs FILE...")
         compared = _compared_scenario(scenario, options, out)
-    summary = summarise(compared.evaluations, compared.percent_of)
+    try:
+        summary = summarise(compared.evaluations, compared.percent_of)
+    except ValueError as error:
+        raise DriveFaultError(str(error)) from None
     facts = {"seeds": str(len(summary.seeds)), "controllers": ", ".join(summary.controllers)}
     source = EvaluationSource(
         compared.title,

@@ -296,6 +296,19 @@ def test_a_scenario_has_the_figures_of_the_command_line(scenario, tmp_path, caps
     assert found.figure("true.ise", "pi+fffo") < found.figure("true.ise", "pi")
 
 
+def test_where_no_seed_runs_to_its_end_the_faults_are_the_answer(scenario, tmp_path, capsys):
+    text = AXIS.read_text().replace("following_error_rps: 8", "following_error_rps: 0.05")
+    text = text.replace("following_error_s: 0.2", "following_error_s: 0.001")
+    text = text.replace("file: sim", f"file: {CONFIGS}/sim").replace("model: m", f"model: {CONFIGS}/m")
+    (tmp_path / "axis.yaml").write_text(text)
+    (tmp_path / "trips.yaml").write_text(scenario.read_text().replace(str(AXIS), "axis.yaml"))
+    words = ["evaluate", str(tmp_path / "trips.yaml"), "--workers", "1", "--out", str(tmp_path / "out")]
+    assert main(words) == 70
+    said = capsys.readouterr().err
+    assert "fffo-drive evaluate: no seed on which every controller ran to its end" in said
+    assert "pi, seed 2: velocity error beyond envelope.following_error_rps" in said
+
+
 def test_recordings_have_the_figures_of_the_command_line_and_one_that_broke_off_is_a_warning(
     recorded, short_profile, tmp_path, capsys
 ):
