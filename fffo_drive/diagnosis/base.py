@@ -9,7 +9,7 @@ compensates for it with a wrong velocity, and near the Stribeck speed a wrong ve
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from threading import Lock
 from typing import NamedTuple
 
@@ -153,13 +153,15 @@ def step_of(name: str, period_s: float) -> float:
     return sizes.get(name, RELATIVE_STEP)
 
 
-def sensitivities(stretches: Sequence[DiagnosisStretch], physical: Floats, rows: DiagnosisRows) -> Floats:
-    """Derivative of the modelled torque (minus the residual's) by each coordinate of BASE at the rows. (m,
-    len(BASE))
+def sensitivities(
+    stretches: Sequence[DiagnosisStretch], physical: Floats, rows: DiagnosisRows, names: Container[str] = BASE
+) -> Floats:
+    """Derivative of the modelled torque (minus the residual's) by each coordinate of BASE at the rows; zero for those
+    that are not in `names`. (m, len(BASE))
     """
     period_s = rows.filter.period_s
     friction = [_friction(stretch, physical) for stretch in stretches]
-    matrix = np.empty((rows.time_s.size, len(BASE)))
+    matrix = np.zeros((rows.time_s.size, len(BASE)))
 
     def column(k: int) -> None:
         name = BASE[k]
@@ -178,7 +180,7 @@ def sensitivities(stretches: Sequence[DiagnosisStretch], physical: Floats, rows:
                 parts = [rows.laws.rows(_friction(s, high) - before) for s, before in pairs]
             matrix[:, k] = np.concatenate(parts) / step
 
-    list(in_threads(column, range(len(BASE))))
+    list(in_threads(column, [k for k, name in enumerate(BASE) if name in names]))
     return matrix
 
 

@@ -298,8 +298,10 @@ def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 
     for _ in range(iterations):
         if change > STEADY:
             own = effect_jacobian(data, best.effects, numbers, scenes)
-            base = _free(data, loaded_sensitivities(data, best.physical, best.effects))[:, :count]
-            matrix = data.white(np.concatenate([base, own], axis=1))
+            if count:
+                base = _free(data, loaded_sensitivities(data, best.physical, best.effects))
+                own = np.concatenate([base, own], axis=1)
+            matrix = data.white(own)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
         gradient = matrix.T @ (weight * best.white)
         hessian = matrix.T @ (weight[:, None] * matrix)
@@ -352,13 +354,14 @@ def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Seq
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
-    """Sensitivities of the base in the presence of effects. (m, len(BASE))
+    """Sensitivities of what is fitted of the base, in the presence of effects. (m, len(BASE))
 
     The effect of a level changes with the level, and an effect on the command is delayed as the torque is.
     """
-    matrix = sensitivities(data.stretches, physical, data.rows)
+    names = {*data.free, "static_nm"}  # with which Fc moves in a rigid base
+    matrix = sensitivities(data.stretches, physical, data.rows, names)
     delay = BASE.index("delay_s")
-    others = [k for k, name in enumerate(BASE) if name not in ("delay_s", "sensor_lag_s2")]
+    others = [k for k, name in enumerate(BASE) if name in names and name not in ("delay_s", "sensor_lag_s2")]
     for columns, carried in (
         ([delay], [e for e in effects if on_command(e)]),
         (others, [e for e in effects if law_of(e.name).follows_model]),
