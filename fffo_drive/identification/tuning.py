@@ -104,15 +104,16 @@ class Design(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def real_pole_bound(gain_rps_per_a: float, time_constant_s: float, integral_time_s: float) -> float:
+def real_pole_bound(axis: LinearAxis, integral_time_s: float) -> float:
     """Smallest Kp (A/rps) from which on both closed-loop poles of (16) are real for good.
 
-    Th Ti s^2 + Ti (1 + G) s + G with G = Kp Gh has real poles where Ti (1 + G)^2 >= 4 Th G.
+    J s^2 + (D + G) s + G / Ti with G = Kp Kt has real poles where (D + G)^2 >= 4 J G / Ti.
     """
-    b = 4.0 * time_constant_s / integral_time_s - 2.0
-    if b <= 2.0:
-        return 0.0  # Th <= Ti: real for every gain
-    return 0.5 * (b + math.sqrt(b * b - 4.0)) / gain_rps_per_a
+    damping = axis.damping_nm_per_rps
+    middle = 2.0 * axis.inertia_nm_s2_per_rev / integral_time_s - damping
+    if middle <= damping:
+        return 0.0  # J / D <= Ti: real for every gain
+    return (middle + math.sqrt(middle * middle - damping * damping)) / axis.torque_constant_nm_per_a
 
 
 def root_locus(axis: LinearAxis, integral_time_s: float, gains: Floats) -> list[LocusPoint]:
@@ -262,10 +263,7 @@ def judge(
     duration_s = max(8.0 * integral_time_s, 0.5) if math.isfinite(integral_time_s) else 1.0
     response = step_response(axis, proportional, integral, duration_s)
     outside = np.flatnonzero(np.abs(response - 1.0) > 0.02)
-    bound = real_pole_bound(
-        1.0 / axis.damping_nm_per_rps * axis.torque_constant_nm_per_a,
-        axis.inertia_nm_s2_per_rev / axis.damping_nm_per_rps, integral_time_s,
-    ) if math.isfinite(integral_time_s) else 0.0  # fmt: skip
+    bound = real_pole_bound(axis, integral_time_s) if math.isfinite(integral_time_s) else 0.0
     margins_observer = loop_margins(axis, proportional, integral, observer)
     excess = condition_14_nm_per_rev(integral, axis.torque_constant_nm_per_a, observer, attraction_nm_per_rev)
     result = Design(
@@ -296,23 +294,29 @@ def real_pole_range(axis: LinearAxis, proportional: float, integral: float) -> D
     return DampingRange(max(lowest, 0.01 * axis.damping_nm_per_rps), max(9.0 * proportional * kt, lowest))
 
 
+def dampings_around(axis: LinearAxis, gains: Gains, count: int) -> Floats:
+    """Friction damping from 0.01 to 1e4 times the axis' own, or times a thousandth of Kp Kt, below which D changes
+    nothing. (count,)
+    """
+    own = max(axis.damping_nm_per_rps, 1e-3 * gains.proportional_a_per_rps * axis.torque_constant_nm_per_a)
+    return np.asarray(own * np.geomspace(0.01, 1e4, count))
+
+
 def margin_range(axis: LinearAxis, gains: Gains, wish: Wish) -> DampingRange:
-    """Damping, within four decades around the axis' own, over which the margins hold without interruption."""
-    factors = np.geomspace(0.01, 1e4, 61)
+    """Damping, within `dampings_around`, over which the margins hold without interruption."""
+    dampings = dampings_around(axis, gains, 61)
     held = []
-    for factor in factors:
-        varied = axis._replace(damping_nm_per_rps=float(factor) * axis.damping_nm_per_rps)
-        margins = loop_margins(varied, *gains.in_motion)
+    for damping in dampings:
+        margins = loop_margins(axis._replace(damping_nm_per_rps=float(damping)), *gains.in_motion)
         held.append(margins.phase_deg >= wish.phase_margin_deg - 1e-9 and margins.gain >= wish.gain_margin - 1e-9)
-    middle = int(np.argmin(np.abs(np.log(factors))))
-    if not held[middle]:
+    low = high = 20  # the axis' own
+    if not held[low]:
         return DampingRange(axis.damping_nm_per_rps, axis.damping_nm_per_rps)
-    low = high = middle
     while low > 0 and held[low - 1]:
         low -= 1
-    while high < factors.size - 1 and held[high + 1]:
+    while high < dampings.size - 1 and held[high + 1]:
         high += 1
-    return DampingRange(float(factors[low]) * axis.damping_nm_per_rps, float(factors[high]) * axis.damping_nm_per_rps)
+    return DampingRange(float(dampings[low]), float(dampings[high]))
 
 
 def _warnings(found: Design, wish: Wish) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..control.stability import LinearAxis, Margins, impedance_nm_per_rps, loop_margins
 from ..control.velocity_estimator import estimator_response
-from ..identification.tuning import Design, Gains, Wish, root_locus, step_response
+from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
 from .figures import Dash, Figure, Floats, LevelLine, PlotAxis, Series, Span, Uniform
@@ -196,7 +196,7 @@ def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Fl
 def damping_figures(tuning: Tuning) -> list[Figure]:
     """Phase margin over friction damping with the allowed range, and the amplitudes with that damping."""
     own = tuning.axis.damping_nm_per_rps
-    damping = own * np.geomspace(0.01, 1e4, DAMPINGS)
+    damping = dampings_around(tuning.axis, tuning.gains, DAMPINGS)
     phase: dict[str, list[float]] = {"PI": [], "PI and L": []}
     for value in damping:
         varied = tuning.axis._replace(damping_nm_per_rps=float(value))

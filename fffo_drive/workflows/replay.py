@@ -36,7 +36,8 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
             raise DocumentError(f"{file}: a record in it has no {error}: it cannot be replayed here") from None
         except ValueError as error:
             raise DocumentError(f"{file}: {error}; replay it with the version that wrote it") from None
-    assert replayer is not None
+    if replayer is None:
+        raise DocumentError("no recording is given: there is nothing to replay")
     return replayer.report
 
 

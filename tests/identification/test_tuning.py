@@ -29,13 +29,21 @@ WORST = LinearAxis(9.4e-4, 0.003, 0.003, 0.148)
 
 
 def test_the_real_pole_bound_is_the_papers():
-    assert real_pole_bound(26.17, 0.166, 0.1) == pytest.approx(0.1686, abs=5e-5)
-    assert real_pole_bound(26.17, 0.05, 0.1) == 0.0
+    damping = 0.148 / 26.17
+    assert real_pole_bound(LinearAxis(0.166 * damping, damping, 0.003, 0.148), 0.1) == pytest.approx(0.1686, abs=5e-5)
+    assert real_pole_bound(LinearAxis(0.05 * damping, damping, 0.003, 0.148), 0.1) == 0.0
+
+
+def test_an_axis_without_viscous_friction_is_judged():
+    axis = LinearAxis(9.4e-4, 0.0, 0.003, 0.148)
+    found = judge(axis, 2.33, Gains(0.975, 9.75, 3.3))
+    assert found.real_poles_from_a_per_rps == pytest.approx(4.0 * 9.4e-4 / (0.1 * 0.148))  # (Kp Kt)^2 = 4 J Ki Kt
+    assert found.within_margins.lowest < 1e-5 < found.within_margins.highest
 
 
 def test_the_root_locus_meets_the_real_axis_at_the_bound():
     axis = LinearAxis(0.166 * 0.148 / 26.17, 0.148 / 26.17, 0.003, 0.148)
-    bound = real_pole_bound(26.17, 0.166, 0.1)
+    bound = real_pole_bound(axis, 0.1)
     below, above = root_locus(axis, 0.1, np.array([0.99 * bound, 1.01 * bound]))
     assert abs(below.poles[0].imag) > 0.0
     assert above.poles[0].imag == above.poles[1].imag == 0.0
