@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=2.0, metavar="S", help="seconds of measurement at each rate (2)"
     )
-    parser.add_argument("--no-measure", action="store_true", help="read and write files only")
+    parser.add_argument("--no-measure", action="store_true", help="do not measure: read objects and write files only")
     parser.add_argument("--yes", action="store_true", help="do not ask: accept assumed values; nothing moves")
     parser.add_argument("--json", action="store_true", help="print one JSON object, do not ask")
     known = parser.add_argument_group("values that the drive does not report, or reports wrongly")

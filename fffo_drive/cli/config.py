@@ -1,6 +1,6 @@
 """Check files, and print their schemas and tables.
 
-fffo-drive config check AXIS...     all errors at once; margins and bus load; finds two axes on one bus
+fffo-drive config check AXIS...     all errors at once; margins, bus load; axes that share a bus
 fffo-drive config schema KIND       JSON schema for editors: axis, drive_profile, simulated, model, scenario, facts
 fffo-drive config drives            the drive profiles that come with the program, and how each was tested
 fffo-drive config signals           table of recorded signals
@@ -41,13 +41,18 @@ SCHEMAS: dict[str, Any] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    check = actions.add_parser("check", help="check axis files and the files that they name")
+    check = _action(actions, "check", "check axis files and the files they name; show margins and bus load")
     check.add_argument("config", metavar="AXIS", nargs="+", help="axis file (YAML)")
-    schema = actions.add_parser("schema", help="JSON schema of a file")
-    schema.add_argument("kind", choices=list(SCHEMAS))
-    actions.add_parser("drives", help="profiles of drive families, for drive.profile")
-    actions.add_parser("signals", help="table of recorded signals (Markdown)")
-    actions.add_parser("effects", help="table of effects of the simulated drive (Markdown)")
+    schema = _action(actions, "schema", "print the JSON schema of a kind of file")
+    schema.add_argument("kind", choices=list(SCHEMAS), help="kind of file")
+    _action(actions, "drives", "list the profiles of drive families, for drive.profile, and how each was tested")
+    _action(actions, "signals", "print the table of recorded signals (Markdown)")
+    _action(actions, "effects", "print the table of effects of the simulated drive (Markdown)")
+
+
+def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    return parser
 
 
 def execute(options: argparse.Namespace) -> int:

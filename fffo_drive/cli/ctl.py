@@ -1,4 +1,6 @@
-"""Control a daemon (fffo-drive serve) over its socket. The commands are the methods of its API.
+"""Control a daemon (fffo-drive serve) over its sockets. The commands are the methods of its API.
+
+Commands marked "read-only" also work for users who may open only the read-only socket.
 
 --axis is needed if more than one daemon runs. Profile and model files are read here and sent to the daemon, which needs
 no access to them. Exit codes: 69 no daemon, 70 refused or fault, 78 bad input.
@@ -34,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     commands = parser.add_subparsers(dest="method", metavar="COMMAND", required=True)
     for name, method in METHODS.items():
-        text = f"{method.summary}{'' if method.watching else ' (control socket)'}"
+        text = f"{method.summary}{' (read-only)' if method.watching else ''}"
         command = commands.add_parser(name.replace("_", "-"), help=text, description=method.summary)
         command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object")
         for field, info in method.parameters.model_fields.items():

@@ -1,7 +1,7 @@
 """Find what the model of an axis lacks, name it, add it, and show the error before and after on held-out runs.
 
 RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the --fit runs only; the --held-out
-runs are used once, to prove the result. Without --model the base model is identified from the --fit runs; with
+runs are used once, to test the result. Without --model the base model is identified from the --fit runs; with
 --prior, other drives of the same model supply what these determine poorly. Writes the page DIR/report.html,
 DIR/report.json (its schema is stable) and DIR/model.yaml, the base model with the effects found, which `fffo-drive
 adopt` puts in service.
@@ -9,8 +9,8 @@ adopt` puts in service.
 If the effects found do not lower the error of the held-out runs, no model is written and a DIR/model.yaml of an earlier
 diagnosis is removed.
 
---without excludes parts of the search: laws (cogging), axes (unknown:velocity), kinds of curves (friction(time)) and
-tables over two axes ('motor_angle x speed').
+--without excludes parts of the search: laws (cogging), curves over a variable (unknown:velocity), kinds of curves
+(friction(time)) and tables over two variables ('motor_angle x speed').
 
 Exit codes: 0 done, also if no effect was found; 65 the held-out runs confirm none of the effects, no model is written;
 74 disk error; 78 bad input.

@@ -5,10 +5,10 @@ fffo-drive doctor AXIS            for one axis: its rate, priority, CPU, bus and
 fffo-drive doctor --record DIR    also save the data read to DIR; `--root DIR` checks them again, on any machine
 
 Each line is ok, a warning or a failure, with the command that helps. Nothing is changed. For a few seconds it measures
-how late a thread with the properties of the loop wakes; measure for longer, under the usual load, before you rely on
+how late a thread with the loop's priority and CPU wakes; measure for longer, under the usual load, before you rely on
 it. Meanwhile it listens on the bus of the axis, without sending, for other masters and for the nodes there.
 
-exit codes: 0 no failure, 1 one or more failures, 74 no such record, 78 bad axis file
+exit codes: 0 no failure, 1 one or more failures, 74 DIR cannot be read or written, 78 bad axis file
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
-        "--root", default="/", metavar="DIR", help="check a record of another machine; nothing is measured"
+        "--root", default="/", metavar="DIR", help="check what --record saved on another machine; nothing is measured"
     )
     parser.add_argument("--record", metavar="DIR", help="save all data read to DIR")
 

@@ -1,18 +1,17 @@
-"""Many runs of many drives: a small record of each run, a store of records, and what they say together.
+"""Many runs of many drives: store a small record of each run, compare, report, find wear.
 
 fffo-drive fleet add STORE RUN...      index runs by drive, time and content; nothing is copied
 fffo-drive fleet work STORE            make the record of every run that has none
-fffo-drive fleet status STORE          progress of the work, and what failed
+fffo-drive fleet status STORE          how many runs have a record, and which failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
-fffo-drive fleet report STORE          population of each model, history of each drive: a page, and JSON
+fffo-drive fleet report STORE          page and JSON: spread over the drives of each model, history of each drive
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
 fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
 fffo-drive fleet compare A B           two runs, or two periods of a drive: what differs beyond chance
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
 
-Exit codes: 0 done; 74 the disk of the store; 78 bad input, also where a run that was named could not be added or
-diagnosed.
+Exit codes: 0 done; 74 the store's disk is full or not writable; 78 bad input, or a run could not be added or diagnosed.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     add = _action(actions, "add", "index runs; nothing is copied")
     add.add_argument("runs", nargs="*", metavar="RUN", help="recording (MCAP) or table (CSV, MAT): path or URL")
-    add.add_argument("--from", dest="source", metavar="DIR|URL", help="all finished recordings there and below")
+    add.add_argument("--from", dest="source", metavar="DIR|URL", help="all finished recordings in DIR and below")
     add.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     add.add_argument("--serial", metavar="NAME", help="serial number of the drive, instead of the one in the runs")
     add.add_argument("--model", metavar="NAME", help="type of the drive, instead of the one in the runs")
@@ -52,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _engine_arguments(work)
     work.add_argument("--shard", metavar="K/N", help="only share K (1 to N) of N: one task of an array of jobs")
     work.add_argument("--retry", action="store_true", help="try failed runs again")
-    _action(actions, "status", "progress of the work, and what failed")
+    _action(actions, "status", "how many runs have a record, and which failed")
     compact = _action(actions, "compact", "merge the small files of records, month by month")
-    compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began longer ago")
-    report = _action(actions, "report", "population of each model and history of each drive, as a page and JSON")
+    compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began more than DAYS days ago")
+    report = _action(actions, "report", "page and JSON: spread over the drives of each model, history of each drive")
     report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     report.add_argument(
         "--alarms-per-drive-year", type=float, metavar="R", help="also list changes, as `fleet watch` finds them"
@@ -77,10 +76,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     compare.add_argument("sides", nargs=2, metavar="A|B", help="run, or FROM..TO")
     compare.add_argument(
-        "--store", metavar="STORE", help="store of the records; the scatter is then estimated from its whole fleet"
+        "--store",
+        metavar="STORE",
+        help="store of the records; the scatter between runs is then estimated from all drives",
     )
     compare.add_argument("--serial", metavar="NAME", help="drive whose periods are compared")
-    compare.add_argument("--model", metavar="NAME", help="type of that drive, where several types have its number")
+    compare.add_argument("--model", metavar="NAME", help="type of that drive, if several types have this serial number")
     compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     compare.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     compare.add_argument("--json", action="store_true", help="print one JSON object")
@@ -109,7 +110,7 @@ def _engine_arguments(parser: argparse.ArgumentParser) -> None:
         help="local: processes here; dask:local: a cluster here; dask:tcp://HOST:PORT: a running one (default: local)",
     )  # fmt: skip
     parser.add_argument("--workers", type=int, metavar="N", help="processes of --on local (default: all cores)")
-    parser.add_argument("--idle", action="store_true", help="only when nothing else wants the processor")
+    parser.add_argument("--idle", action="store_true", help="run at idle priority")
 
 
 def execute(options: argparse.Namespace) -> int:

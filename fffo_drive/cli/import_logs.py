@@ -90,8 +90,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     axis.add_argument("--linear", action="store_true", help="a linear axis: m and N instead of rev and Nm")
     axis.add_argument("--gear-ratio", type=float, metavar="N", help="motor speed over output speed")
-    axis.add_argument("--pole-pairs", type=int, metavar="N")
-    axis.add_argument("--slots", type=int, metavar="N")
+    axis.add_argument("--pole-pairs", type=int, metavar="N", help="pole pairs of the motor")
+    axis.add_argument("--slots", type=int, metavar="N", help="stator slots of the motor")
     axis.add_argument(
         "--load-gravity",
         dest="load_gravity_nm",

@@ -14,14 +14,17 @@ from typing import Any
 from ..recording.reader import read_run
 from ..recording.recover import recover
 
+INFO = "show rows, columns with units, metadata and events of a recording, and whether it is complete"
+RECOVER = "write a complete file from an incomplete one"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="contents of a recording")
+    info = actions.add_parser("info", help=INFO, description=f"{INFO[0].upper()}{INFO[1:]}.")
     info.add_argument("files", metavar="FILE", nargs="+", help="recording (.mcap, .mcap.part)")
     info.add_argument("--json", action="store_true", help="print one JSON object, or a list of them")
-    rescue = actions.add_parser("recover", help="write a complete file from an incomplete one")
+    rescue = actions.add_parser("recover", help=RECOVER, description=f"{RECOVER[0].upper()}{RECOVER[1:]}.")
     rescue.add_argument("torn", metavar="IN", help="incomplete recording (NAME.mcap.part)")
     rescue.add_argument("whole", metavar="OUT", help="file to write; must not exist")
     rescue.add_argument("--json", action="store_true", help="print one JSON object")

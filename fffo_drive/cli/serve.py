@@ -1,10 +1,11 @@
-"""Serve one axis on a bus: connect, keep it connected, supervise, record, and listen on a Unix socket (fffo-drive ctl).
+"""Serve one axis on a bus: connect, keep it connected, supervise, record, and listen on Unix sockets (fffo-drive ctl).
 
 Runs in the foreground until SIGTERM or Ctrl-C; both brake the axis to standstill before the program ends. SIGHUP reads
 the axis file again. Under systemd it is `fffo-drive@NAME.service`; started by hand, its sockets are in
-$XDG_RUNTIME_DIR/fffo-drive/NAME. With
---scope (or daemon.scope in the axis file) it also serves a page for a browser, with --foxglove (daemon.foxglove) a
-WebSocket for Foxglove, Lichtblick and PlotJuggler, on this machine only unless you give an address; `fffo-drive scope`
+$XDG_RUNTIME_DIR/fffo-drive/NAME.
+
+With --scope (or daemon.scope in the axis file) it also serves a page for a browser, with --foxglove (daemon.foxglove) a
+WebSocket for Foxglove, Lichtblick and PlotJuggler, on this machine only unless you give an address. `fffo-drive scope`
 prints the address.
 """
 

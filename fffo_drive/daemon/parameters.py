@@ -27,7 +27,7 @@ class Info(StrictRecord):
 
     protocol: Annotated[
         int | Annotated[list[int], Field(min_length=1, max_length=100)] | None,
-        Field(description="version of this API that the client supports, or a list; one that both support is chosen"),
+        Field(description="API version that the client supports, or a list; the newest that both support is used"),
     ] = None
 
 
@@ -44,7 +44,7 @@ class Bound(Commanded):
     """Parameters of requests for torque or motion."""
 
     epoch: Annotated[
-        int | None, Field(ge=1, description="epoch from a status: refused if another epoch has begun since")
+        int | None, Field(ge=1, description="epoch that a status reported: refused if a new epoch has begun since")
     ] = None
 
 
@@ -69,7 +69,7 @@ class Start(Bound):
     profile: Annotated[
         str | ProfileSection,
         Field(
-            description="name of one of the axis file (`info` lists them), or its keys as there: {kind: sine, ...}",
+            description="name of a profile in the axis file (see `info`), or a profile's keys: {kind: sine, ...}",
             json_schema_extra={"cli": "profile"},
         ),
     ]
@@ -85,7 +85,7 @@ class Jog(Bound):
     to_rps: Annotated[Velocity, Field(description="velocity; 0 ends the jog")]
     renews: Annotated[
         int | None,
-        Field(ge=1, description="number of the jog to renew (set_point of its answer): refused when it has lapsed"),
+        Field(ge=1, description="number of the jog to renew (`set_point` in its answer): refused if it has ended"),
     ] = None
 
 
@@ -143,7 +143,7 @@ class Events(StrictRecord):
     """Parameters of `events`."""
 
     since: Annotated[int, Field(ge=0, description="number of the last event already known")] = 0
-    limit: Annotated[int, Field(ge=1, le=1000, description="largest number of events, the newest ones")] = 100
+    limit: Annotated[int, Field(ge=1, le=1000, description="largest number of events; the newest are returned")] = 100
 
 
 class Subscribe(StrictRecord):
