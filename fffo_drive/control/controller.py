@@ -19,6 +19,7 @@ from ..packing import flat_names, pack, reader
 from .adaptation import NO_ADAPTATION, AdaptationConfig
 from .feedforward import FeedforwardConfig, Reference, stands_still
 from .friction_observer import (
+    TOGGLE_NONE,
     TOGGLE_OFF,
     ObserverConfig,
     observer_release,
@@ -89,7 +90,7 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive has no torque."""
-    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_OFF, False, 0.0, nothing_held())
+    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_NONE, False, 0.0, nothing_held())
 
 
 @njit
@@ -104,7 +105,10 @@ def _with_integral(state: ControllerState, integral_a: float) -> ControllerState
 def _hand_over(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float
 ) -> ControllerState:
-    """Bumpless switch of the observer: the integrator takes over what the estimate loses."""
+    """Bumpless switch of the observer: the integrator takes over what the estimate loses.
+
+    In the first step there is nothing to hand over: the estimate begins as that of an unloaded contact.
+    """
     integral_a, friction = state.integral_a, state.friction
     if toggle == TOGGLE_OFF:
         integral_a = integral_a + friction.torque_nm / config.torque_constant_nm_per_a

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ..jit import njit
 from ..model.friction import FrictionConfig, FrictionState, friction_step, settled_friction
 
+TOGGLE_NONE = -1  # before the first step: there is nothing to hand over
 TOGGLE_OFF = 0
 TOGGLE_FEEDFORWARD = 1  # the paper's switch at "0": reference velocity
 TOGGLE_FEEDBACK = 2  # the paper's switch at "1": measured velocity

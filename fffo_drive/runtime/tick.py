@@ -27,7 +27,7 @@ from ..control.envelope import (
     envelope_step,
 )
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, stands_still, steady_reference
-from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, observer_start
+from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_NONE, TOGGLE_OFF, observer_start
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..control.set_point import (
     LiveMotion,
@@ -310,7 +310,7 @@ def give_adapted(
 ) -> tuple[Adapted, ControllerState]:  # fmt: skip
     """Adapted torque on this tick's reference, bumpless when friction switches to the reference or away from it.
 
-    `before_nm`: the adapted torque of the last tick.
+    `before_nm`: the adapted torque of the last tick. In the first step of the law there was none.
     """
     if not (config.adaptation.used and active) or mode == MODE_CURRENT:
         return NOTHING_ADAPTED, controller
@@ -320,7 +320,7 @@ def give_adapted(
         if controller.toggle == TOGGLE_OFF:
             friction_nm = observer_start(config.observer, reference.ahead).torque_nm
         adapted = adapted_torque(config.observer.friction, state, friction_nm, reference.ahead)
-    if toggle != controller.toggle:
+    if toggle != controller.toggle and controller.toggle != TOGGLE_NONE:
         controller = with_torque_lost(config, controller, before_nm - adapted.torque_nm)
     return adapted, controller
 

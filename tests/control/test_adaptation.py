@@ -181,6 +181,15 @@ def test_the_command_does_not_jump_where_the_toggle_changes(before, after):
     assert np.abs(np.diff(commands[3990:])).max() < 1e-4
 
 
+@pytest.mark.parametrize("toggle", [TOGGLE_OFF, TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK])
+def test_what_was_learned_acts_from_the_first_step_after_a_restart_of_the_law(toggle):
+    rest = steady_reference(0.0)
+    given, controller = give_adapted(LAW, STATE, controller_at_rest(), MODE_VELOCITY, rest, toggle, True, 0.0)
+    terms, _ = controller_step(LAW, controller, toggle, rest, 0.0, given.torque_nm, 0.0, 0.0)
+    learned_nm = STATE.offset_nm if toggle == TOGGLE_FEEDFORWARD else 0.0
+    assert terms.command_a == pytest.approx(learned_nm / LAW.torque_constant_nm_per_a)
+
+
 NO_ESTIMATE = VelocityEstimatorTerms(0.0, 0.0, 0.0, False)
 
 

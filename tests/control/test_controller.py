@@ -17,7 +17,7 @@ from fffo_drive.control.controller import (
     with_limited,
     with_torque_lost,
 )
-from fffo_drive.control.feedforward import NO_FEEDFORWARD, steady_reference
+from fffo_drive.control.feedforward import NO_FEEDFORWARD, Reference, steady_reference
 from fffo_drive.control.friction_observer import (
     TOGGLE_FEEDBACK,
     TOGGLE_FEEDFORWARD,
@@ -25,7 +25,7 @@ from fffo_drive.control.friction_observer import (
     ObserverConfig,
 )
 from fffo_drive.control.pi import PiConfig, pi_step
-from fffo_drive.model.friction import FrictionConfig, steady_friction_nm
+from fffo_drive.model.friction import REST, FrictionConfig, friction_step, steady_friction_nm
 
 PERIOD_S = 5e-4
 KT = 0.148
@@ -138,6 +138,15 @@ def test_switching_while_running_makes_no_bump(before, after, reference_rps):
     assert abs(switched.command_a - unswitched.command_a) < 0.02
     second, _ = step(CONFIG, after_state, after, steady_reference(reference_rps), reference_rps * 0.98, 0.0)
     assert abs(second.command_a - switched.command_a) < 0.02
+
+
+def test_a_start_hands_nothing_over_though_the_reference_ahead_moves_already():
+    """The first step of a profile that is read ahead: the estimate is that of an unloaded contact, (7) from F = 0."""
+    starting = Reference(0.0, 0.0, 0.01, 0.0, 0.0)
+    terms, state = step(CONFIG, controller_at_rest(), TOGGLE_FEEDFORWARD, starting, 0.0, 0.0)
+    expected_nm = friction_step(TABLE1, REST, 0.01, 0.0, PERIOD_S).torque_nm
+    assert (terms.friction_nm, terms.integral_a, state.integral_a) == (expected_nm, 0.0, 0.0)
+    assert terms.command_a == pytest.approx(expected_nm / KT, rel=1e-12)
 
 
 def test_off_hands_the_estimate_to_the_integrator():

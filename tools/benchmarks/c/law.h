@@ -253,7 +253,7 @@ static struct adapted give_adapted(const struct controller_config *c, const stru
         double torque_nm = learned->offset_nm + learned->coulomb_nm * contact + learned->viscous_nm_per_rps * velocity_rps;
         given = (struct adapted){contact, torque_nm};
     }
-    if (toggle != state->toggle)
+    if (toggle != state->toggle && state->toggle != TOGGLE_NONE)
         state->integral_a += (before_nm - given.torque_nm) / c->torque_constant_nm_per_a;
     return given;
 }

@@ -174,7 +174,7 @@ static struct law_output apply_law(const struct controller_config *config, struc
             law.mode = MODE_CURRENT;
             law.terms.requested_a = law.terms.command_a = reference->value;
         }
-        *state = (struct controller_state){.toggle = TOGGLE_OFF};
+        *state = (struct controller_state){.toggle = TOGGLE_NONE};
         return law;
     }
     law.mode = MODE_VELOCITY;
@@ -297,7 +297,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     status[PARAMETERS_IN_USE] = parameter_number;
     struct controller_config controller_config;
     unpack_controller(in_use, &controller_config);
-    struct controller_state controller = {.toggle = TOGGLE_OFF};
+    struct controller_state controller = {.toggle = TOGGLE_NONE};
     struct velocity_estimator_state estimator = ESTIMATOR_AT_REST;
     struct adaptation_state learned = {0};
     struct adapted given = {0};
