@@ -135,6 +135,12 @@ def filtered_error_rps(config: ControllerConfig, before_rps: float, error_rps: f
 
 
 @njit
+def _gain_share(config: RestConfig, rest: float) -> float:
+    """Share of Kp and Ki that is in force; `rest`: how far the gains have gone to those at rest."""
+    return 1.0 - rest * (1.0 - config.gain_share)
+
+
+@njit
 def controller_step(
     config: ControllerConfig, state: ControllerState, toggle: int, reference: Reference, velocity_rps: float,
     added_nm: float, followed_rps: float, position_rev: float,
@@ -157,7 +163,7 @@ def controller_step(
 
     at_rest = stands_still(reference)
     rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
-    gain_share = 1.0 - rest * (1.0 - config.rest.gain_share)
+    gain_share = _gain_share(config.rest, rest)
 
     integral_a, hold = state.integral_a, state.hold
     if at_rest and config.rest.hold.bound_a > 0.0:
@@ -224,7 +230,9 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
 @njit
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
     """Bumpless change of gains: the integrator takes over what the proportional term loses."""
-    change_a = (before.pi.proportional_a_per_rps - after.pi.proportional_a_per_rps) * state.filtered_error_rps
+    before_a_per_rps = _gain_share(before.rest, state.rest) * before.pi.proportional_a_per_rps
+    after_a_per_rps = _gain_share(after.rest, state.rest) * after.pi.proportional_a_per_rps
+    change_a = (before_a_per_rps - after_a_per_rps) * state.filtered_error_rps
     return _with_integral(state, state.integral_a + change_a)
 
 

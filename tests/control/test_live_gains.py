@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fffo_drive.control.controller import ControllerConfig, controller_at_rest, controller_step, with_new_gains
+from fffo_drive.control.controller import (
+    ControllerConfig,
+    RestConfig,
+    controller_at_rest,
+    controller_step,
+    with_new_gains,
+)
 from fffo_drive.control.feedforward import NO_FEEDFORWARD, steady_reference
 from fffo_drive.control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
 from fffo_drive.control.pi import PiConfig
@@ -57,3 +65,13 @@ def test_the_same_gains_change_nothing():
     config = law(0.975, 9.75, 5.0)
     _, state = step(config, controller_at_rest(), TOGGLE_FEEDFORWARD, steady_reference(1.0), 0.3, 0.0)
     assert with_new_gains(config, config, state) == state
+
+
+@given(GAINS, GAINS, st.floats(0.02, 1.0), st.floats(0.02, 1.0), st.floats(-1.0, 1.0))
+def test_a_change_of_gains_at_rest_counts_with_the_share_that_is_in_force_there(kp, new_kp, share, new_share, rps):
+    before = law(kp, 0.0, 0.0)._replace(rest=RestConfig(share, 1.0, 0.0))
+    after = law(new_kp, 0.0, 0.0)._replace(rest=RestConfig(new_share, 1.0, 0.0))
+    terms, state = step(before, controller_at_rest(), TOGGLE_OFF, steady_reference(0.0), rps, 0.0)
+    assert math.isclose(terms.requested_a, -share * kp * rps, rel_tol=1e-9, abs_tol=1e-12)
+    then, _ = step(after, with_new_gains(before, after, state), TOGGLE_OFF, steady_reference(0.0), rps, 0.0)
+    assert math.isclose(then.requested_a, terms.requested_a, rel_tol=1e-9, abs_tol=1e-9)
