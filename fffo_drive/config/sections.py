@@ -80,7 +80,9 @@ class RestSection(StrictRecord):
     release_friction: Annotated[
         bool, Field(description="let the friction estimate decay at rest, so that it does not push the axis")
     ] = False
-    time_s: Annotated[float, Field(ge=0.001, le=10, description="time constant of both")] = 0.1
+    time_s: Annotated[
+        float, Field(ge=0.001, le=10, description="time constant of the change of gains and of this decay")
+    ] = 0.1
     hold_a_per_rev_s: Annotated[
         float,
         Field(
@@ -92,7 +94,7 @@ class RestSection(StrictRecord):
     ] = 0.0
     hold_dead_band_rev: Annotated[
         float | None,
-        Field(gt=0, le=0.1, description="distance that the hold leaves alone, rev; null: one count of the position"),
+        Field(gt=0, le=0.1, description="dead band of the hold, rev; null: one count of the position"),
     ] = None
     hold_bound_share: Annotated[
         float,
@@ -226,11 +228,11 @@ class EnvelopeSection(StrictRecord):
         int, Field(ge=1, le=100_000, description="trips after this many ticks without a statusword")
     ] = 100
     heartbeat_timeout_s: Annotated[
-        float, Field(ge=0, le=60, description="for the drive's heartbeat; 0: not monitored")
+        float, Field(ge=0, le=60, description="trips if the drive's heartbeat is absent for this long; 0: never")
     ] = 0.5
-    reactions: Annotated[dict[str, Reaction], Field(description="overrides, by the name of the trip")] = Field(
-        default_factory=dict
-    )
+    reactions: Annotated[
+        dict[str, Reaction], Field(description="reaction by the name of the trip, instead of the default")
+    ] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _ordered(self) -> EnvelopeSection:
@@ -315,13 +317,13 @@ class PaperProfile(StrictRecord):
 
     kind: Annotated[Literal["paper"], PROFILE_KIND]
     duration_s: Annotated[float, Field(gt=0, le=86_400, description="length of the run, s")] = 60.0
-    low_rps: Annotated[float, Field(ge=0, le=1000, description="amplitude at the start of the record, rev/s")] = 0.2
-    high_rps: Annotated[Rps, Field(description="amplitude at the end of the record, rev/s")] = 15.0
+    low_rps: Annotated[float, Field(ge=0, le=1000, description="amplitude at the start of the profile, rev/s")] = 0.2
+    high_rps: Annotated[Rps, Field(description="amplitude at the end of the profile, rev/s")] = 15.0
     lowest_hz: Annotated[Hertz, Field(description="lowest frequency of the reference, Hz")] = 0.01
     highest_hz: Annotated[Hertz, Field(description="highest frequency of the reference, Hz")] = 10.0
     lines: Annotated[int, Field(ge=1, le=1000, description="number of sines in the reference")] = 31
     slope: Annotated[float, Field(ge=-4, le=4, description="amplitude of a line is f^slope")] = -0.5
-    seed: Annotated[int, Field(ge=0, le=2**31, description="of the random phases")] = 1
+    seed: Annotated[int, Field(ge=0, le=2**31, description="seed of the random phases")] = 1
 
 
 class SineProfile(StrictRecord):
@@ -360,7 +362,7 @@ class IdentifyProfile(StrictRecord):
     duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 60.0
     low_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the start")] = 0.3
     high_a: Annotated[float, Field(gt=0, le=1000, description="amplitude at the end")] = 1.1
-    lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
+    lowest_hz: Annotated[Hertz, Field(description="lowest frequency, below highest_hz")] = 0.01
     highest_hz: Annotated[Hertz, Field(description="highest frequency of the excitation, Hz")] = 10.0
 
     @model_validator(mode="after")
@@ -375,7 +377,7 @@ class FrfProfile(StrictRecord):
     kind: Annotated[Literal["frf"], PROFILE_KIND]
     duration_s: Annotated[float, Field(gt=1, le=86_400, description="length of the run, s")] = 120.0
     amplitude_a: Annotated[float, Field(gt=0, le=1000, description="amplitude of the excitation, A")] = 1.0
-    lowest_hz: Annotated[Hertz, Field(description="below highest_hz")] = 0.01
+    lowest_hz: Annotated[Hertz, Field(description="lowest frequency, below highest_hz")] = 0.01
     highest_hz: Annotated[Hertz, Field(description="highest frequency of the excitation, Hz")] = 50.0
 
     @model_validator(mode="after")
@@ -401,7 +403,7 @@ class RecipeProfile(PartsProfile):
     """Velocity profile that separates effects: staircase, dwells, triangles, accelerate/brake pairs, biased sines."""
 
     kind: Annotated[Literal["recipe"], PROFILE_KIND]
-    repeats: Annotated[int, Field(ge=1, le=10, description="of staircase and triangles")] = 2
+    repeats: Annotated[int, Field(ge=1, le=10, description="repeats of staircase and triangles")] = 2
 
 
 class DecideProfile(PartsProfile):
@@ -483,7 +485,7 @@ class DaemonSection(StrictRecord):
     control_group: Annotated[str | None, Field(description="group of the control socket; null: the process's own")] = (
         None
     )
-    clients: Annotated[int, Field(ge=1, le=256, description="largest number at a time, for each socket")] = 32
+    clients: Annotated[int, Field(ge=1, le=256, description="largest number of clients at a time, per socket")] = 32
     in_charge: Annotated[
         Literal["anyone", "connection"],
         Field(description="connection: only a client that stays connected (ctl enable --hold) may enable"),
@@ -499,7 +501,7 @@ class DaemonSection(StrictRecord):
         float,
         Field(gt=0, le=60, description="a controlled stop that takes longer becomes a quick stop, and that a fault"),
     ] = 3.0
-    retry_s: Annotated[float, Field(ge=0.05, le=600, description="between attempts to reach the drive")] = 2.0
+    retry_s: Annotated[float, Field(ge=0.05, le=600, description="time between attempts to reach the drive")] = 2.0
     supervisor_timeout_s: Annotated[
         float,
         Field(ge=0.1, le=60, description="if the supervisor is silent for this time, the loop quick-stops and ends"),
@@ -510,7 +512,7 @@ class DaemonSection(StrictRecord):
     foxglove: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
-    record: Annotated[Literal["on", "off"], Field(description="at start")] = "off"
+    record: Annotated[Literal["on", "off"], Field(description="on: record from the start of the service")] = "off"
     fleet: Annotated[
         str | None,
         Field(

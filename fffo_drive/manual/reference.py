@@ -45,7 +45,7 @@ UNITS = (  # ending of a key -> unit; the longest ending that fits counts
     ("_units_per_rps", "1/rps"), ("_counts_per_rps", "1/rps"), ("units_per_a", "1/A"), ("_nm_per_k", "Nm/K"),
     ("_per_k", "1/K"), ("k_per_w", "K/W"), ("_kg_m2", "kg m²"), ("_rps3", "rev/s³"), ("_rps2", "rev/s²"),
     ("_rps", "rev/s"), ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"),
-    ("_permille", "1/1000"),
+    ("_permille", "1/1000"), ("_status_bits", ""),
     ("_ticks", "ticks"), ("_ratio", "1"), ("_bits", "bits"), ("_ohm", "Ω"), ("_ns", "ns"), ("_v", "V"), ("_h", "h"),
     ("_a", "A"), ("_s", "s"), ("_k", "K"), ("_c", "°C"),
 )  # fmt: skip
@@ -168,6 +168,8 @@ def _keys(schema: Mapping[str, Any], kind: str, sections: Mapping[str, Any]) -> 
     rows = []
     for name, entry in schema.get("properties", {}).items():
         default = "required" if name in needed else _value(entry.get("default", None), "default" in entry)
+        if name == "object" and name not in needed:  # an index of the object dictionary
+            default = f"`0x{entry['default']:04X}`"
         rows.append((f"`{name}`", unit_of(name), _allowed(entry, kind), default, cell(_meaning(entry, sections))))
     return table(("key", "unit", "allowed", "default", "meaning"), rows)
 
@@ -292,7 +294,7 @@ def effects() -> str:
         "",
     ]
     lines += table(
-        ("law", "meaning", "acts over", "compensated by the controller"),
+        ("law", "meaning", "depends on", "compensated by the controller"),
         (
             (
                 f"[`{w.name}`](#law-{_slug(w.name)})",
@@ -303,7 +305,7 @@ def effects() -> str:
             for w in laws
         ),
     )
-    lines += ["Anything outside this list is reported as `unknown:AXIS`, with a free curve over that axis.", ""]
+    lines += ["Anything outside this list is reported as `unknown:AXIS`, a free curve over the variable AXIS.", ""]
     for law in laws:
         lines += _law(law)
     return "\n".join([*lines, "## Effects of the simulated drive", "", effect_table(), ""])
@@ -319,7 +321,7 @@ def _law(law: Law) -> list[str]:
         f"(law-{_slug(law.name)})=",
         f"### `{law.name}`",
         "",
-        f"{law.meaning[:1].upper()}{cell(law.meaning[1:])}.",
+        f"{law.meaning[:1].upper()}{cell(law.meaning)[1:]}.",
         "",
     ]
     lines += [

@@ -225,12 +225,14 @@ class CurveModel(StrictRecord):
     kind: Annotated[KindWord, Field(description="what the values are, see KINDS")]
     unit: Annotated[str, Field(description="of the values")]
     scale: Annotated[float, Field(ge=0, description="period of an angle, rev; time constant of a memory, s")] = 0.0
-    of_current: Annotated[bool, Field(description="a memory of the squared current, A2, and not of the speed")] = False
-    knots: Annotated[list[float], Field(description="places on the axis, rising")]
-    across: Annotated[Axis | Literal["speed"] | None, Field(description="second axis of a table")] = None
-    across_scale: Annotated[float, Field(ge=0, description="as scale, of the second axis")] = 0.0
-    levels: Annotated[list[float], Field(description="places on the second axis, rising")] = Field(default_factory=list)
-    values: Annotated[list[float] | list[list[float]], Field(description="one a knot; of a table a row a level")]
+    of_current: Annotated[bool, Field(description="memory of the squared current (A2) instead of the speed")] = False
+    knots: Annotated[list[float], Field(description="values of the variable, rising")]
+    across: Annotated[Axis | Literal["speed"] | None, Field(description="second variable of a table")] = None
+    across_scale: Annotated[float, Field(ge=0, description="as scale, for the second variable")] = 0.0
+    levels: Annotated[list[float], Field(description="values of the second variable, rising")] = Field(
+        default_factory=list
+    )
+    values: Annotated[list[float] | list[list[float]], Field(description="one per knot; in a table one row per level")]
     sd: Annotated[
         list[float | None] | list[list[float | None]] | None, Field(description="of the values; null: not fitted")
     ] = None
