@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="method", metavar="COMMAND", required=True)
     for name, method in METHODS.items():
         text = f"{method.summary}{' (read-only)' if method.watching else ''}"
-        command = commands.add_parser(name.replace("_", "-"), help=text, description=method.summary)
+        described = f"{method.summary[0].upper()}{method.summary[1:]}."
+        command = commands.add_parser(name.replace("_", "-"), help=text, description=described)
         command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object")
         for field, info in method.parameters.model_fields.items():
             _add_parameter(command, field, info)
@@ -47,6 +48,8 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
     """A required parameter has a place, others a flag; `cli: file` is read from a file, and names it."""
     kind = (info.json_schema_extra or {}).get("cli") if isinstance(info.json_schema_extra, dict) else None
     text = (info.description or "").replace("%", "%%")
+    if kind == "profile":  # which the API takes as keys
+        text = "name of a profile in the axis file (see `info`), or a YAML file with a `profile:` section"
     if info.is_required():
         metavar = {"file": "PATH", "profile": "PROFILE"}.get(str(kind), name.upper())
         choices = get_args(info.annotation) if get_origin(info.annotation) is Literal else None
