@@ -40,7 +40,8 @@ Progress = Callable[[float, str], None]
 BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls
 OTHER_RATIOS = (0.75, 0.5)  # the fit is repeated at these shares of the bandwidth, and the mean of all is taken
 MEAN_COST = 1e-3  # the mean is taken where the loss rises by no larger share than this
-PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts
+PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts ...
+PRESLIDING_STEP = 2.5  # ... and on by this factor where the sensor is so fine that presliding has more of them
 LAG_RATIOS = (2.0, 8.0, 25.0)  # Fs/B at the start, in multiples of 1/K
 STARTS = 2
 START_S = 25.0  # of each record, to choose among the starts
@@ -204,9 +205,12 @@ def _best_start(
     refined.
     """
     part = frame.of(make_problem(records, bandwidth_hz, START_S))
+    presliding_rev = [counts * part.lsb_rev for counts in PRESLIDING_LSB]
+    while presliding_rev[-1] < start.sliding_travel_rev / PRESLIDING_STEP:
+        presliding_rev.append(PRESLIDING_STEP * presliding_rev[-1])
     candidates = [
-        start_vector(start, 1.0 / (counts * part.lsb_rev), start.static_nm / (ratio * counts * part.lsb_rev))
-        for counts in PRESLIDING_LSB
+        start_vector(start, 1.0 / length_rev, start.static_nm / (ratio * length_rev))
+        for length_rev in presliding_rev
         for ratio in LAG_RATIOS
     ]
     for candidate in candidates:

@@ -34,6 +34,7 @@ ROWS_A_PERIOD = 4.0  # of the filter's cut-off
 ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns
 LEAST_OTHER_WAY = 0.02  # share of the rows that must turn the other way
 SINGULAR = 1e-12  # of a normal matrix: a millionth of its columns
+PRESLIDING_SHARE = 5e-4  # of a typical stroke, by which presliding may last however fine the sensor is
 LONGEST_DELAY_SAMPLES = 24
 LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
 
@@ -99,7 +100,7 @@ def _sliding_travel_rev(motions: Sequence[Kinematics], lsb_rev: float) -> float:
     stroke = np.concatenate(strokes) if strokes else np.zeros(0)
     stroke = stroke[stroke > 50.0 * lsb_rev]
     typical = float(np.median(stroke)) if stroke.size else 0.0
-    return max(20.0 * lsb_rev, min(0.1 * typical, 2000.0 * lsb_rev))
+    return max(20.0 * lsb_rev, min(0.1 * typical, max(2000.0 * lsb_rev, PRESLIDING_SHARE * typical)))
 
 
 def rows_at(stretches: Sequence[RegressionStretch], cutoff_hz: float, delay_s: float) -> RegressionRows:

@@ -73,6 +73,12 @@ def test_the_models_own_motion_is_fitted_exactly_and_its_file_can_be_read(tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("bits", [28, 40])
+def test_the_models_own_motion_is_found_however_fine_the_sensor_is(bits):
+    fit = fit_records([chirp_record(lsb_rev=2.0**-bits)], FitSettings(effects=(), compare_literal=False))
+    np.testing.assert_allclose(fit.physical[:9], TRUTH[:9], rtol=0.01)
+
+
 def test_what_fast_sliding_cannot_tell_is_named():
     time = np.arange(40_000) * PERIOD_S
     current = 1.0 + 0.4 * np.sin(2 * np.pi * 1.0 * time) + 0.3 * np.sin(2 * np.pi * 7.0 * time)
