@@ -51,6 +51,7 @@ START_ITERATIONS = 6
 MOST_STATIC = 1.5
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
+LAG_STRETCH_S, LAG_EDGE_S = 1.0, 0.1  # shortest stretch without a gap; what its filter spoils at each end
 OFFSET = "torque_offset"  # the effect that the kernels have a parameter of their own for
 OFFSET_PLACE = PARAMETERS.index("offset_nm")
 
@@ -286,14 +287,15 @@ def sensor_delay(records: Sequence[Record]) -> tuple[float | None, float | None]
             continue
         period_s = record.period_s
         block = max(1, round(LAG_BLOCK_S / period_s))
+        edge = round(LAG_EDGE_S / period_s)
         for part in record.segments():
-            if part.stop - part.start < 2000:
+            if part.stop - part.start < round(LAG_STRETCH_S / period_s):
                 continue
             position = low_pass(record.position_rev[part] - record.position_rev[part.start], LAG_HZ, period_s)
             velocity = np.gradient(position, period_s)
             slope = np.gradient(velocity, period_s)
             late = velocity - low_pass(record.velocity_rps[part], LAG_HZ, period_s)
-            inside = slice(200, -200)
+            inside = slice(edge, -edge)
             edges = np.arange(0, late[inside].size, block)
             products += np.add.reduceat(late[inside] * slope[inside], edges).tolist()
             squares += np.add.reduceat(slope[inside] * slope[inside], edges).tolist()

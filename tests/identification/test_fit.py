@@ -14,7 +14,7 @@ from fffo_drive.identification.coordinates import MODEL_PARAMETERS, PARAMETERS
 from fffo_drive.identification.dataset import DataError
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
-from fffo_drive.identification.fit import FitSettings, _warnings, fit_records
+from fffo_drive.identification.fit import FitSettings, _warnings, fit_records, sensor_delay
 from fffo_drive.identification.results import model_file, report
 from fffo_drive.model.parameters import read_model, write_model
 
@@ -101,6 +101,19 @@ def test_an_offset_is_found_and_fitted():
     seen = type(moved)(**{**vars(moved), "current_a": base.current_a})
     fit = fit_records([seen], FitSettings(compare_literal=False))
     assert fit.value("offset_nm") == pytest.approx(offset_nm, rel=0.03)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 400.0, 2000.0, 20000.0])
+def test_the_lag_of_the_velocity_is_found_at_any_rate(rate_hz):
+    """Two sines, and the velocity 4 ms late."""
+    time_s = np.arange(round(10.0 * rate_hz)) / rate_hz
+    turns = 2.0 * np.pi * np.array([[1.3], [2.1]])
+    position = (np.sin(turns * time_s) / turns).sum(axis=0)
+    velocity = np.cos(turns * (time_s - 0.004)).sum(axis=0)
+    log = record_of(velocity, period_s=1.0 / rate_hz, position_rev=position, velocity_rps=velocity)
+    lag_s, sd_s = sensor_delay([log])
+    assert lag_s == pytest.approx(0.004, rel=0.05)
+    assert sd_s is not None
 
 
 def test_logs_of_different_rates_are_not_mixed():
