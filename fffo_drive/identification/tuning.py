@@ -133,7 +133,8 @@ def gains_in_motion(axis: LinearAxis, wish: Wish) -> tuple[float, float, float]:
     L. Maximising it within the margins is the standard design for disturbance rejection (Astrom, Panagopoulos and
     Hagglund, "Design of PI controllers based on non-convex optimization", Automatica 34, 1998). The crossover of PI
     alone is Kp Kt / (2 pi J), and Ki follows from the damping ratio of its two poles; L is the rest. If no crossover
-    has the margins, the slowest with L = 0.
+    has the margins, Ki is lowered until one has them, with L = 0: where viscous friction is far beyond what inertia
+    takes, the damping ratio alone would allow any Ki. If that does not help either, the slowest crossover.
     """
     if wish.bandwidth_hz is not None:
         crossovers_hz = np.array([wish.bandwidth_hz])
@@ -146,6 +147,9 @@ def gains_in_motion(axis: LinearAxis, wish: Wish) -> tuple[float, float, float]:
         for proportional, integral in found
         if _holds(axis, proportional, integral, 0.0, wish)
     ]
+    if not held:
+        lowered = [(gains[0], _integral_that_holds(axis, *gains, wish), 0.0) for gains in found]
+        held = [gains for gains in lowered if gains[1] > 0.0]
     kt = axis.torque_constant_nm_per_a
     return max(held, key=lambda gains: gains[1] * kt + gains[2], default=(*found[-1], 0.0))
 
@@ -160,6 +164,11 @@ def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tu
     proportional = max(omega * inertia - axis.damping_nm_per_rps, 0.05 * omega * inertia) / kt
     natural = (axis.damping_nm_per_rps + proportional * kt) / (2.0 * damping_ratio * inertia)
     return proportional, natural * natural * inertia / kt
+
+
+def _integral_that_holds(axis: LinearAxis, proportional: float, most: float, wish: Wish) -> float:
+    """The largest Ki up to `most` with the required margins; 0 if there is none."""
+    return largest_that(most, lambda integral: _holds(axis, proportional, integral, 0.0, wish))
 
 
 def observer_gain(axis: LinearAxis, proportional: float, integral: float, wish: Wish) -> float:

@@ -111,6 +111,18 @@ def test_integral_action_is_as_large_as_the_margins_allow(delay_s, damping):
             assert slower * 0.148 + at_most < 1.03 * chosen_nm_per_rev
 
 
+@pytest.mark.parametrize("damping", [0.02, 0.3, 3.0])
+def test_an_axis_of_mostly_viscous_friction_gets_gains_within_the_margins(damping):
+    """With D far beyond J over the delay the loop is Ki Kt / (D s) with the delay: the gain margin gives Ki."""
+    axis = LinearAxis(3e-5, damping, 0.017, 0.148)
+    wish = Wish()
+    found = design(axis, 2.33, wish)
+    assert wish.is_met(loop_margins(axis, *found.gains.in_motion))
+    proportional, integral, observer = found.gains.in_motion
+    most = 0.5 * math.pi / (wish.gain_margin * axis.delay_s) * damping
+    assert 0.8 * most < integral * 0.148 + observer < 1.2 * most
+
+
 @pytest.mark.parametrize("delay_s", [0.002, 0.003, 0.0045, 0.008])
 @pytest.mark.parametrize("contact_nm_per_rev", [5.0, 22.0, 80.0])
 def test_gains_at_rest_keep_a_margin_on_the_contacts_spring(delay_s, contact_nm_per_rev):
