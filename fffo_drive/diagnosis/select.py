@@ -283,7 +283,13 @@ class Selector:
     ) -> tuple[Data, ScoredFit, list[Accepted]] | None:
         """Add one effect; None where none remains on this rung."""
         evidence = self._evidence(data, scored.fitted, scored.matrix)
-        laws, free, tried = self._contenders(data, scored, evidence, rung)
+        proposals = self.search.proposals(data, scored.fitted, evidence, rung)
+        tried = self.search.tried
+        if rung == LAW_RUNG and not self.first:
+            self.first = tuple(one.without_columns for one in ranked(proposals, key=lambda one: -one.worth))
+            self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
+        laws, free = self._contenders(data, scored, evidence, proposals, tried)
+        del proposals  # with their columns
         believed = self._believed(data, scored, evidence, laws, tried)
         free = _beyond_laws(scored, believed, free, evidence.folds)[:CURVES_REFITTED]
         believed += self._believed(data, scored, evidence, free, tried)
@@ -371,18 +377,13 @@ class Selector:
         return True
 
     def _contenders(
-        self, data: Data, scored: ScoredFit, evidence: Evidence, rung: int
-    ) -> tuple[list[Contender], list[Contender], int]:
-        """Laws, and free curves beyond chance, the largest linear gain first; and how many candidates were tried.
+        self, data: Data, scored: ScoredFit, evidence: Evidence, proposals: Sequence[Proposal], tried: int
+    ) -> tuple[list[Contender], list[Contender]]:
+        """Laws, and free curves beyond chance, the largest linear gain first.
 
         A curve is linear: a refit does not change its p-value. A law may be far from its best shape and beside a base
         that is biased without it: where its p-value does not rule out chance, that of the refit may.
         """
-        proposals = self.search.proposals(data, scored.fitted, evidence, rung)
-        tried = self.search.tried
-        if rung == LAW_RUNG and not self.first:
-            self.first = tuple(one.without_columns for one in ranked(proposals, key=lambda one: -one.worth))
-            self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
         taken = {e.name for e in scored.fitted.effects}
         able = [
             one for one in proposals
@@ -400,7 +401,7 @@ class Selector:
         found = [Contender(picked[k].without_columns, losses[k]) for k in order]
         laws = [one for one in found if not one.proposal.name.startswith(UNKNOWN)]
         laws.sort(key=lambda one: one.proposal.score.p * tried > self.rate)  # those beyond chance already come first
-        return laws[:REFITTED], [one for one in found if one.proposal.name.startswith(UNKNOWN)], tried
+        return laws[:REFITTED], [one for one in found if one.proposal.name.startswith(UNKNOWN)]
 
     def _believed(
         self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int

@@ -249,7 +249,7 @@ def test_a_set_point_does_not_leave_the_position_window(tmp_path):
         (event,) = rig.events("set_point")
         assert "position_window_rev" in event["text"]
         there_rev = client.call("status")["motion"]["position_rev"]
-        assert 1.5 < there_rev < 2.0
+        assert 1.0 < there_rev < 2.0  # ticks that a shared machine skips end it earlier
         again = client.call("velocity", to_rps=5, for_s=1)  # taken, and not followed
         assert again["state"] == "following"
         rig.until("enabled", client)
