@@ -201,7 +201,8 @@ def test_laws_beyond_chance_come_first_and_what_is_barred_is_not_contended():
     search = selector()
     proposals = search.search.proposals(data, scored.fitted, evidence, LAW_RUNG)
     first, second = search._contenders(data, scored, evidence, proposals, search.search.tried)[0][:2]
-    less = [one._replace(score=one.score._replace(p=1.0)) if one.effect is first.proposal.effect else one for one in proposals]
+    best = first.proposal.effect
+    less = [one._replace(score=one.score._replace(p=1.0)) if one.effect is best else one for one in proposals]
     now = search._contenders(data, scored, evidence, less, search.search.tried)[0]
     assert now[0].proposal.name == second.proposal.name
     search = selector("cogging")
