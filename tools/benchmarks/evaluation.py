@@ -8,8 +8,8 @@ Writes results/evaluation.md beside this file.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import resource
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,9 +54,20 @@ def evaluate(scenario: Scenario, seeds: int | None = None) -> tuple[Summary, flo
 
 
 def processor_s() -> float:
-    """Processor time of this process and of those that it has waited for."""
-    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in spent)
+    """Processor time of this process and of all that come from it; those that have ended count with their parent.
+
+    Workers are children of a fork server, so that resource.RUSAGE_CHILDREN of this process does not have them.
+    """
+    fields = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended
+            fields[int(stat.parent.name)] = stat.read_text().rpartition(")")[2].split()
+    family, seen = {os.getpid()}, 0
+    while len(family) > seen:
+        seen = len(family)
+        family |= {pid for pid, values in fields.items() if int(values[1]) in family}
+    ticks = sum(int(ticks) for pid in family if pid in fields for ticks in fields[pid][11:15])  # utime to cstime
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def with_slope(scenario: Scenario, slope: float) -> Scenario:
