@@ -238,8 +238,8 @@ def test_ctl_jogs_until_it_is_interrupted(rig, client, capsys):
 
 
 def test_a_set_point_does_not_leave_the_position_window(tmp_path):
-    made = Rig(tmp_path, set_points={**SET_POINTS, "window_margin_rev": 0.1})
-    edit(made.path, lambda axis: axis["envelope"].update(position_window_rev=[-2.0, 2.0]))
+    made = Rig(tmp_path, set_points={**SET_POINTS, "window_margin_rev": 0.5})
+    edit(made.path, lambda axis: axis["envelope"].update(position_window_rev=[-3.0, 3.0]))
     with made as rig:
         client = rig.client()
         rig.until("ready", client)
@@ -249,7 +249,7 @@ def test_a_set_point_does_not_leave_the_position_window(tmp_path):
         (event,) = rig.events("set_point")
         assert "position_window_rev" in event["text"]
         there_rev = client.call("status")["motion"]["position_rev"]
-        assert 1.0 < there_rev < 2.0  # ticks that a shared machine skips end it earlier
+        assert 1.5 < there_rev < 3.0  # about 2.4; the margin is for the ticks that a shared machine skips
         again = client.call("velocity", to_rps=5, for_s=1)  # taken, and not followed
         assert again["state"] == "following"
         rig.until("enabled", client)
