@@ -23,6 +23,7 @@ from ..config.resolution import coarse_words, resolution_lines
 from ..config.scenario import ScenarioFile
 from ..config.simulated import SimulatedDriveRecord
 from ..control.friction_observer import TOGGLE_OFF
+from ..documents import sentence
 from ..identification.facts import DriveFacts
 from ..model.parameters import ModelFile
 from ..signals import SIGNALS
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=sentence(text))
     return parser
 
 

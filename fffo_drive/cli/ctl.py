@@ -22,7 +22,7 @@ from ..daemon import rpc
 from ..daemon.client import CallError, ClientError, DaemonClient
 from ..daemon.parameters import METHODS, Method
 from ..daemon.serving import find_socket
-from ..documents import DocumentError, parse, read_text
+from ..documents import DocumentError, parse, read_text, sentence
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
 
 RENEWED_SHARE = 0.25  # of the time within which a jog has to be renewed
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="method", metavar="COMMAND", required=True)
     for name, method in METHODS.items():
         text = f"{method.summary}{' (read-only)' if method.watching else ''}"
-        described = f"{method.summary[0].upper()}{method.summary[1:]}."
+        described = sentence(method.summary)
         command = commands.add_parser(name.replace("_", "-"), help=text, description=described)
         command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object")
         for field, info in method.parameters.model_fields.items():

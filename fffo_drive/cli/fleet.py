@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..documents import DocumentError, counted, did_you_mean
+from ..documents import DocumentError, counted, did_you_mean, sentence
 from ..identification.facts import read_facts
 from .exits import EXIT_BAD_INPUT
 from .progress import progress_bar
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=sentence(text))
     parser.add_argument("store", metavar="STORE", help="directory, or s3://BUCKET/PREFIX")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser

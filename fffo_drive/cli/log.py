@@ -11,6 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ..documents import sentence
 from ..recording.reader import read_run
 from ..recording.recover import recover
 
@@ -21,10 +22,10 @@ RECOVER = "write a complete file from an incomplete one"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help=INFO, description=f"{INFO[0].upper()}{INFO[1:]}.")
+    info = actions.add_parser("info", help=INFO, description=sentence(INFO))
     info.add_argument("files", metavar="FILE", nargs="+", help="recording (.mcap, .mcap.part)")
     info.add_argument("--json", action="store_true", help="print one JSON object, or a list of them")
-    rescue = actions.add_parser("recover", help=RECOVER, description=f"{RECOVER[0].upper()}{RECOVER[1:]}.")
+    rescue = actions.add_parser("recover", help=RECOVER, description=sentence(RECOVER))
     rescue.add_argument("torn", metavar="IN", help="incomplete recording (NAME.mcap.part)")
     rescue.add_argument("whole", metavar="OUT", help="file to write; must not exist")
     rescue.add_argument("--json", action="store_true", help="print one JSON object")

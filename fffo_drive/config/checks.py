@@ -226,7 +226,7 @@ def silence_problems(drive: CanopenDriveSection, limits: EnvelopeSection) -> lis
     if drive.status_every >= limits.status_missing_ticks:
         problems.append(
             f"envelope.status_missing_ticks: {limits.status_missing_ticks} SYNCs, but the statusword comes with every "
-            f"{drive.status_every}th (drive.status_every): raise the one or lower the other"
+            f"{drive.status_every}th (drive.status_every): raise one or lower the other"
         )
     guarded = drive.silence_detection == LIFE_GUARDING  # the drive answers our requests
     key = "heartbeat_ms" if guarded else "drive_heartbeat_ms"
@@ -234,7 +234,7 @@ def silence_problems(drive: CanopenDriveSection, limits: EnvelopeSection) -> lis
     if 0.0 < limits.heartbeat_timeout_s <= sent_s:
         problems.append(
             f"envelope.heartbeat_timeout_s: {limits.heartbeat_timeout_s:g} s, but the drive's heartbeat comes every "
-            f"{sent_s:g} s (drive.{key}): raise the one or lower the other"
+            f"{sent_s:g} s (drive.{key}): raise one or lower the other"
         )
     return problems
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
+from ..documents import sentence
 from ..identification.coverage import Coverage, shown, to_record
 from ..identification.dataset import Record
 from ..identification.kinematics import motion_of
@@ -34,7 +35,7 @@ def coverage_section(records: Sequence[Record], coverage: Coverage, linear: bool
     text = f"They hold {'; '.join(shown(coverage, linear))}."
     wanted = to_record(coverage, linear)
     if wanted:
-        sentences = (f" {line[0].upper()}{line[1:]}." for line in wanted)
+        sentences = (f" {sentence(line)}" for line in wanted)
         text += " Not determined by these data, and what to record for it:" + "".join(sentences).replace("`", "")
     rows = coverage_figures(records, coverage, linear)
     figures = tuple(replace(one, width=WIDTHS[len(row)]) for row in rows for one in row)

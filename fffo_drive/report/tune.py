@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..control.stability import LinearAxis, Margins, loop_margins
+from ..documents import sentence
 from ..identification.tuning import DampingRange, Design
 from ..model.parameters import ModelFile, Quantity
 from ..symbols import FRICTION
@@ -92,7 +93,7 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         f"The friction damping may vary {_ratio(design.without_overshoot)} with real poles, "
         f"{_ratio(design.within_margins)} within the margins.",
     ]
-    cautions = [f"{text[0].upper()}{text[1:]}." for text in design.warnings]
+    cautions = [sentence(text) for text in design.warnings]
     lines = [
         Line(label="Margins", text=f"Phase {significant(margins.phase_deg, 2)}°, gain {significant(margins.gain, 2)} "
                                    f"with delay and observer; required: {tuning.wish.phase_margin_deg:g}° and "
