@@ -394,6 +394,15 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def accepts(record: type[BaseModel], values: Any) -> bool:
+    """Whether values make such a record."""
+    try:
+        record.model_validate(values)
+    except ValidationError:
+        return False
+    return True
+
+
 def sentence(text: str) -> str:
     """A phrase with a capital letter and a full stop."""
     return f"{text[0].upper()}{text[1:]}."

@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, create_model
 
 from .. import formats
-from ..documents import DocumentError, StrictRecord, load, refuse
+from ..documents import DocumentError, StrictRecord, accepts, load, refuse
 from ..system.service_files import sources
 from .drive_section import CanopenDriveSection, SdoWriteSection
 from .eds_fitness import Fitness, section_lines
@@ -142,17 +142,9 @@ def merged(keys: Mapping[str, Any], section: Mapping[str, Any]) -> dict[str, Any
         if given in section and other not in section:  # two ways to say the same
             found.pop(other, None)
     own = section.get("sdo")
-    if "sdo" in keys and isinstance(own, list) and all(map(_is_write, own)):  # else its own mistakes are named
-        found["sdo"] = _joined(keys["sdo"], own)
+    if "sdo" in keys and isinstance(own, list) and all(accepts(SdoWriteSection, write) for write in own):
+        found["sdo"] = _joined(keys["sdo"], own)  # else its own mistakes are named
     return found
-
-
-def _is_write(write: Any) -> bool:
-    try:
-        SdoWriteSection.model_validate(write)
-    except ValidationError:
-        return False
-    return True
 
 
 def _joined(shared: list[Any], own: list[Any]) -> list[Any]:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from pydantic import ValidationError
-
+from ..documents import accepts
 from ..drive.canopen.config import CanopenDriveConfig
 from ..drive.canopen.needs import has_mode, mode_text
 from ..drive.canopen.object_map import STANDARD_SLOTS
@@ -84,18 +83,9 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Dri
     unit_nm = RATED_TORQUE_UNITS[given.get("rated_torque_unit", "mNm")]
     unit_a = RATED_CURRENT_UNITS[given.get("rated_current_unit", "mA")]
     for key, value in reported_units(objects, unit_nm, unit_a).items():
-        if _allowed(key, value):  # what is not set is often 0xFFFFFFFF
+        if accepts(CanopenDriveSection, {**PLACEHOLDERS, key: value}):  # what is not set is often 0xFFFFFFFF
             put(key, value, "reported by the drive")
     return DriveProposal(section, sources, tuple(stand_ins), tuple(unit_remarks(objects)))
-
-
-def _allowed(key: str, value: Any) -> bool:
-    """Whether a drive section takes this value."""
-    try:
-        CanopenDriveSection.model_validate({**PLACEHOLDERS, key: value})
-    except ValidationError:
-        return False
-    return True
 
 
 def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:
