@@ -136,7 +136,7 @@ def as_object(result: BenchResult) -> dict[str, Any]:
 def _metrics_table(result: BenchResult) -> Table:
     percent = percent_of_smallest(result.metrics)
     table = Table(
-        title="velocity error, % of the smallest, (% in the paper's Table II)", title_justify="left", box=SIMPLE
+        title="velocity error, % of the smallest (% in the paper's Table II)", title_justify="left", box=SIMPLE
     )
     table.add_column("", no_wrap=True)
     for name in result.metrics:
