@@ -192,8 +192,9 @@ def read_run(
 ) -> MeasuredRun:  # fmt: skip
     """Read a run: a recording (.mcap), a table (CSV, MAT), or a mapping of arrays (n,) by signal name.
 
-    `facts`: what is declared about the drive, or the file that says it; recordings carry it.
-    `torque_constant_nm_per_a` (Nm/A) stands before both, and alone is enough. Raises RecordingError or DocumentError.
+    `facts`: what is declared about the drive, or the file with it; recordings contain it.
+    `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. Raises RecordingError or
+    DocumentError.
     """
     if isinstance(source, Mapping):
         arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
@@ -245,10 +246,10 @@ def _facts_carried(path: Path, torque_constant_nm_per_a: float | None) -> DriveF
 def simulate(
     axis: Axis | str | Path, *, toggle: str | None = None, profile: str | Path | None = None, seed: int | None = None
 ) -> MeasuredRun:
-    """Run an axis file on its simulated drive in process, many times faster than real time, without a file.
+    """Run an axis file on its simulated drive in process, many times faster than real time, without writing a file.
 
     `toggle`: friction from "off", "ff" (reference) or "fb" (feedback); None: the file's. `profile`: a file with another
-    profile. `seed`: of the drive's noise. Raises DocumentError for what may not run.
+    profile. `seed`: of the drive's noise. Raises DocumentError if the checks before a run refuse it.
     """
     plan, chosen = _plan(axis, toggle, profile)
     found = simulating.simulate(plan, chosen, seed)
@@ -269,8 +270,8 @@ def run(
     """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
 
     `out`: the recording (None: recording.directory of the axis file). `bus` replaces the bus of the file.
-    `uncommissioned`: enable a drive that has no record of commissioning. Raises DriveError, DocumentError, OSError, and
-    RecordingGapError where the recording is not whole.
+    `uncommissioned`: enable a drive that has no commissioning record. Raises DriveError, DocumentError, OSError, and
+    RecordingGapError if the recording is incomplete.
     """
     plan, chosen = _plan(axis, toggle, profile)
     given = permission(plan.path, plan.axis, plan.model, uncommissioned)
@@ -322,9 +323,10 @@ def identify(
 ) -> Identified:  # fmt: skip
     """Fit inertia, delay and 2SEP friction to runs of one axis. `.model` can be written, run and tuned.
 
-    `prior`: a store of `fffo-drive fleet` or a population's file: the model then has what drives of its type
-    (`prior_model`; None: what the runs say) have in common, as far as the runs do not determine it; `.result["prior"]`
-    has prior, runs and both. Raises DataError for runs that carry no fit, DocumentError for a prior that is none.
+    `prior`: a store of `fffo-drive fleet`, or a population file: what the runs do not determine then comes from other
+    drives of the same type (`prior_model`; None: the type that the runs name). `.result["prior"]` has the prior, the
+    fit to the runs alone, and both combined. Raises DataError if no model can be fitted to the runs, DocumentError if
+    `prior` cannot be used.
     """
     several = _several(runs)
     records, chosen = _records(several, facts)
@@ -355,10 +357,10 @@ def tune(
     model: ModelFile, *, axis: Axis | None = None, rate_hz: float = 2000.0, bandwidth_hz: float | None = None,
     phase_margin_deg: float = Wish().phase_margin_deg, gain_margin: float = Wish().gain_margin,
 ) -> Tuned:  # fmt: skip
-    """Gains with the largest integral action within the margins (deg, factor). `bandwidth_hz`: a wanted crossover.
+    """Choose the gains with the largest integral action within the margins (deg, factor).
 
-    `axis`: its rate, its source of velocity and the delay in its commissioning record count; None: `rate_hz` and the
-    drive's velocity. Raises DocumentError.
+    `bandwidth_hz`: target crossover frequency. `axis`: take the loop rate, the source of the velocity and the delay in
+    the commissioning record from this axis; None: `rate_hz` and the drive's velocity. Raises DocumentError.
     """
     tuning.require_positive(rate_hz=rate_hz)
     linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
@@ -372,13 +374,15 @@ def diagnose(
     model: ModelFile | None = None, facts: DriveFacts | None = None, out: str | Path | None = None,
     prior: str | Path | None = None, prior_model: str | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """Find what the model lacks on `runs`, prove it on `held_out`. `model`: the base (None: identified from the runs).
+    """Find on `runs` what the model lacks, and test it on `held_out`.
 
-    `prior`, `prior_model`: as of `identify`, in place of `model`: what the runs determine poorly of the base model.
+    `model`: the base model (None: identified from the runs). `prior`, `prior_model`: as for `identify`, instead of
+    `model`: they supply what the runs determine poorly in the base model.
 
-    `.headline` says it in a sentence, `.findings` have size, interval and proof, `.model_after` is the model with them.
-    Findings are in Nm, rps and the units that each names. `out`: a directory for report.html, report.json and the
-    model.yaml that `adopt` takes. Raises DataError for runs that carry no fit, DocumentError for a run on both sides.
+    `.headline` is the result in one sentence, `.findings` have size, interval and proof, `.model_after` is the model
+    with the findings. Findings are in Nm, rps and the units that each names. `out`: a directory for report.html,
+    report.json and the model.yaml that `adopt` takes. Raises DataError if no model can be fitted to the runs,
+    DocumentError if a run is both fitted and held out.
     """
     chosen_runs, proof = _several(runs), _several(held_out)
     records, chosen = _records([*chosen_runs, *proof], facts)
@@ -402,9 +406,10 @@ def diagnose(
 def adopt(
     model: str | Path, axis: Axis | str | Path, *, report: str | Path | None = None, dry_run: bool = False
 ) -> Adopted:
-    """Put a diagnosed model file in service on an axis when every gate passes; with `dry_run` only look.
+    """Put a diagnosed model file in service on an axis if every gate passes; with `dry_run` only check the gates.
 
-    `report`: the diagnosis' report.json (None: beside the model). A daemon that has torque on is a gate.
+    `report`: the report.json of the diagnosis (None: the one beside the model). One gate requires that the axis's
+    daemon has no torque on.
     """
     chosen = axis if isinstance(axis, Axis) else read_axis(axis)
     serving = torque_on(chosen.file.name)
@@ -418,9 +423,10 @@ def evaluate(
 ) -> Summary:  # fmt: skip
     """Compare controllers: `.figure("true.ise", "pi+fffo+")` in rps^2 s, and all others, with intervals over seeds.
 
-    `scenario`: a scenario file, run on the simulated drive in process. `runs`: recordings instead; those of one
-    controller count as seeds, a scenario gives their yardstick, and what speaks against comparing them is a warning.
-    `workers`: processes (None: one a core). Raises DocumentError, and ValueError when no seed ran to its end.
+    `scenario`: a scenario file, run on the simulated drive in process. `runs`: recordings instead. Those of one
+    controller count as seeds; a scenario that is given as well sets how they are evaluated; anything that makes the
+    comparison doubtful is a warning. `workers`: processes (None: one per core). Raises DocumentError, and ValueError
+    if no seed ran to its end.
     """
     chosen = None if scenario is None else evaluating.narrowed(read_scenario(scenario), controllers, seeds)
     if runs:
@@ -437,10 +443,10 @@ def evaluate(
 def replay(
     runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], instead: str | Path | None = None
 ) -> ReplayReport:
-    """Put recordings through the law and the envelope again: `.exact` where every command is the same bit for bit.
+    """Run recordings through the control law and the envelope again: `.exact` is true if every command is the same.
 
-    `instead`: an axis or model file whose law is run on the recorded feedback; the differences are in A. Raises
-    DocumentError.
+    The same means bit for bit. `instead`: an axis or model file whose law is run on the recorded feedback; the
+    differences are in A. Raises DocumentError.
     """
     several = [runs] if isinstance(runs, MeasuredRun | str | Path) else list(runs)
     paths = replaying.with_continuations(_recorded(several))

@@ -50,9 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--bus", help="bus for drive and controller, e.g. socketcan:vcan0 (default: a loopback bus)")
     _, configs = sources()
-    parser.add_argument("--config", default=str(configs / "axis_bench.yaml"), help="axis file (default: %(default)s)")
     parser.add_argument(
-        "--drive", default=str(configs / "simulated_drive.yaml"), help="simulated drive (default: %(default)s)"
+        "--config", default=str(configs / "axis_bench.yaml"), help="axis file (default: the example axis_bench.yaml)"
+    )
+    parser.add_argument(
+        "--drive",
+        default=str(configs / "simulated_drive.yaml"),
+        help="simulated drive (default: the example simulated_drive.yaml)",
     )
     parser.add_argument("--out", default="runs", metavar="DIR", help="directory for the recordings (default: runs)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else on stdout")

@@ -1,10 +1,10 @@
 """Check signs, scales, delay and limits of an axis before any loop is closed, and write a record of it.
 
 The axis moves: small current pulses of both signs grow until it turns a little. The program asks before each motion;
-answer `all` to be asked no more, or give --yes. Current, speed, travel and time are limited, and it stops at the first
-unexpected result. `fffo-drive run` enables a drive on a bus only with a record that has passed, for this drive and
-these declared facts, and that the axis file names under `commissioning:`. The program asks before it writes that line;
---accept writes it later, without motion.
+answer `all` or give --yes, and it does not ask again. Current, speed, travel and time are limited, and it stops at the
+first unexpected result. `fffo-drive run` enables a drive on a bus only with a record that has passed, that is for this
+drive and these declared facts, and that the axis file names under `commissioning:`. The program asks before it writes
+that line; --accept writes it later, without motion.
 """
 
 from __future__ import annotations

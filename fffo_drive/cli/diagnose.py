@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drive", metavar="FILE", help="declared facts about the drive (YAML); recordings contain them"
     )
-    parser.add_argument("--fit", required=True, nargs="+", metavar="RUN", help="runs to choose and fit effects on")
-    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs to prove the result on")
+    parser.add_argument("--fit", required=True, nargs="+", metavar="RUN", help="runs to choose and to fit effects on")
+    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs to test the result on")
     parser.add_argument("--model", metavar="MODEL", help="base model to start from (default: identified from the runs)")
     parser.add_argument("--out", required=True, metavar="DIR", help="directory for report and model")
     parser.add_argument(

@@ -1,12 +1,12 @@
 """Convert logs of other programs to recordings: recognise their columns, give the reasons, write MCAP.
 
-LOG is text of any delimiter (metadata and unit lines, decimal comma, no names), an export of EPOS Studio or TwinCAT
-Scope, MATLAB (.mat), JSON records, NPZ, Parquet, or an MCAP of another program. Each becomes DIR/NAME.mcap, which
-`identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about the axis.
+LOG is text with any delimiter (also with metadata and unit lines, decimal commas or no column names), an export of EPOS
+Studio or TwinCAT Scope, MATLAB (.mat), JSON records, NPZ, Parquet, or an MCAP of another program. Each becomes
+DIR/NAME.mcap, which `identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about the axis.
 
-What names, units and data do not decide is an assumption, marked with "?". At a terminal the program asks for each one
-before it writes; --yes accepts all of them. DIR/columns.png shows how each column was interpreted, DIR/data.png what
-the data can show. --map FILE gives columns and units in advance: DIR/map.yaml of an earlier import.
+Whatever names, units and data leave undecided is an assumption, marked with "?". At a terminal the program asks for
+each one before it writes; --yes accepts all of them. DIR/columns.png shows how each column was interpreted,
+DIR/data.png what the data can show. --map FILE gives columns and units in advance: DIR/map.yaml of an earlier import.
 """
 
 from __future__ import annotations

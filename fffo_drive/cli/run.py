@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument(
-        "--profile", metavar="FILE", help="profile of FILE (configs/profiles) instead of the axis file's"
+        "--profile", metavar="FILE", help="run the profile in FILE (configs/profiles) instead of the axis file's"
     )
     chosen.add_argument(
         "--decide",

@@ -1,8 +1,8 @@
 """Choose gains for a fitted model: PI, observer gain, margins with the delay, and how much friction may vary.
 
-Writes DIR/controller.yaml, the `controller:` section of an axis file, and the page DIR/report.html with report.json;
-with --axis also a complete axis file, DIR/AXIS, with the model and these gains; --svg also draws every figure of the
-page.
+Writes DIR/controller.yaml, the tuned keys of the `controller:` section of an axis file, and the page DIR/report.html
+with report.json; with --axis also a complete axis file, DIR/AXIS, with the model and these gains; --svg also draws
+every figure of the page.
 """
 
 from __future__ import annotations

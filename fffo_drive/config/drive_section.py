@@ -124,8 +124,8 @@ class CanopenDriveSection(StrictRecord):
     kind: Annotated[Literal["canopen"], DRIVE_KIND]
     bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
     bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")] = 1_000_000
-    node_id: Annotated[int, Field(ge=1, le=127, description="node ID of the drive")]
-    master_id: Annotated[int, Field(ge=1, le=127, description="node ID of the master's heartbeat")] = 127
+    node_id: Annotated[int, Field(ge=1, le=127, description="node id of the drive")]
+    master_id: Annotated[int, Field(ge=1, le=127, description="node id of the master's heartbeat")] = 127
     counts_per_rev: Annotated[
         int | None, Field(ge=2, lt=1 << 32, description="increments of 0x6064 per revolution, any number")
     ] = None
@@ -215,7 +215,7 @@ class CanopenDriveSection(StrictRecord):
         Detection,
         Field(
             description="how the drive detects that the PC is silent: heartbeat (0x1016), life_guarding (0x100C and "
-            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts a drive that does not)"
+            "0x100D), rpdo_timer (0x1400:05), vendor (set by sdo), none (accepts a drive that does not detect it)"
         ),
     ] = HEARTBEAT
     silence_reaction: Annotated[
@@ -223,7 +223,7 @@ class CanopenDriveSection(StrictRecord):
         Field(
             description="what determines how it then stops: abort_connection "
             "(0x6007), error_behaviour (0x1029), vendor "
-            "(set by sdo), none (accepts a drive without)"
+            "(set by sdo), none (accepts a drive without a reaction)"
         ),
     ] = "abort_connection"
     highest_rate_hz: Annotated[

@@ -101,8 +101,8 @@ class RestSection(StrictRecord):
         Field(
             gt=0,
             le=0.8,
-            description="bound of the hold's torque: share of the model's least friction in sliding, at any speed up "
-            "to envelope.speed_limit_rps. It does not push the axis, a hand or a stop with more",
+            description="bound of the hold's torque: share of the model's least sliding friction at any speed up "
+            "to envelope.speed_limit_rps. The hold never pushes the axis, a hand or an end stop harder than this",
         ),
     ] = 0.5
 

@@ -14,8 +14,8 @@ status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, 
 enable, disable, start, stop, quick_stop, reset_fault
             {"state": ..., "reached": true, "epoch": ...}; error -32004 if the state is not reached within wait_s. A
             stop succeeds in every state and reports the state: in a fault the axis may coast. Once it is acknowledged,
-            no start or enable sent before it is carried out: each is bound to the epoch in which it arrived, or to the
-            one given by its parameter `epoch`
+            a start or enable that was sent before it is refused: each is bound to the epoch in which it arrived, or to
+            the one given by its parameter `epoch`
 jog, velocity, step
             {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
             "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of

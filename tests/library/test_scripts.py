@@ -47,7 +47,7 @@ def test_three_controllers_are_compared():
 def test_a_recorded_run_is_replayed_with_another_model(tmp_path):
     text = said_by("replay_other_model.py", AXIS, tmp_path / "run.mcap")
     assert "bit for bit: True" in text
-    assert "with that model the law asks for" in text
+    assert "with that model the command differs by" in text
 
 
 @pytest.mark.long

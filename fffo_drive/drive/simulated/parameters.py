@@ -34,7 +34,7 @@ class PlantConfigError(ValueError):
 class ResolverConfig:
     """Resolver, converter and tracking loop."""
 
-    bits: int = key(15, "-", 8, 24, "bits of a revolution")
+    bits: int = key(15, "-", 8, 24, "bits per revolution")
     tracking_hz: float = key(400.0, "Hz", 20.0, 2000.0, "natural frequency of the tracking loop")
     tracking_damping: float = key(0.9, "-", 0.3, 3.0, "damping ratio of the tracking loop")
     noise_rev: float = key(1.5e-5, "rev", 0.0, 0.01, "standard deviation of the converted angle")
@@ -44,7 +44,7 @@ class ResolverConfig:
 
 @dataclass(frozen=True)
 class ThermalConfig:
-    """First-order warm-up by the losses of winding and friction, with its influence on friction and an offset."""
+    """First-order warm-up caused by the losses of winding and friction, and its influence on friction and an offset."""
 
     k_per_w: float = key(1.5, "K/W", 0.0, 1000.0, "final temperature rise per watt of loss")
     time_constant_s: float = key(600.0, "s", 1.0, 1e5, "thermal time constant")
@@ -89,7 +89,7 @@ class PlantConfig:
     sync_period_s: float = key(0.0005, "s", 1e-4, 0.1, "SYNC period for which delay_s is specified")
     extra_delay_s: float = key(0.0, "s", 0.0, 0.5, "transport delay beyond delay_s")
     current_noise_a: float = key(0.01, "A", 0.0, 10.0, "noise of the measured current")
-    roughness_nm: float = key(0.0004, "Nm", 0.0, 1.0, "standard deviation of the coloured torque by rough surfaces")
+    roughness_nm: float = key(0.0004, "Nm", 0.0, 1.0, "standard deviation of the torque noise of rough surfaces")
     roughness_hz: float = key(15.0, "Hz", 0.01, 2000.0, "its bandwidth")
     initial_angle_rev: float = key(0.0, "rev", -1e4, 1e4, "angle of the motor shaft at power-on")
     motor_inertia_share: float = key(1.0, "-", 0.05, 1.0, "share of the inertia on the motor shaft (effects)")

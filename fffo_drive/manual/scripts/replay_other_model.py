@@ -9,11 +9,11 @@ from fffo_drive.model.parameters import write_model
 axis = fd.read_axis(sys.argv[1])
 run = fd.run(axis, sys.argv[2])
 print(run)
-print("every command again, bit for bit:", fd.replay(run).exact)
+print("every command the same, bit for bit:", fd.replay(run).exact)
 
 found = fd.identify(run, name="from this run")
 print(found)
 model = Path(sys.argv[2]).with_suffix(".yaml")
 write_model(model, found.model)
 other = fd.replay(run, instead=model)
-print(f"with that model the law asks for {other.rms_difference_a:.3f} A (rms) more or less, over {other.rows} rows")
+print(f"with that model the command differs by {other.rms_difference_a:.3f} A (rms), over {other.rows} rows")

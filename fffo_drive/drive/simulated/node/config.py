@@ -35,7 +35,7 @@ class Identity:
 class NodeConfig:
     """A simulated drive as a CANopen node."""
 
-    node_id: int = key(1, "-", 1, 127, "CANopen node-ID")
+    node_id: int = key(1, "-", 1, 127, "node id of the drive")
     plant: PlantConfig = field(default_factory=PlantConfig)
     device: DeviceConfig = field(default_factory=DeviceConfig)
     identity: Identity = field(default_factory=Identity)

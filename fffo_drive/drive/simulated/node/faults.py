@@ -82,16 +82,16 @@ class Fault:
     """One fault."""
 
     kind: FaultKind = required_note(  # noqa: RUF009  # a field
-        "what goes wrong; sent: with frames of the drive, received: with frames to it"
+        "what goes wrong; sent: with frames that the drive sends, received: with frames to the drive"
     )
     at_s: float = key(0.0, "s", 0.0, 1e6, "when it begins, since the node started")
     duration_s: float = key(0.0, "s", 0.0, 1e6, "how long it lasts; 0: until cleared")
-    can_id: int = key(0, "-", 0, 0x7FF, "frames that drop, duplicate, delay, reorder concern; 0: every one")
-    probability: float = key(1.0, "-", 0.0, 1.0, "share of these frames that is hit")
-    delay_s: float = key(0.0, "s", 0.0, 10.0, "of delayed frames")
-    jitter_s: float = key(0.0, "s", 0.0, 10.0, "of delayed frames: up to so much more, by chance")
+    can_id: int = key(0, "-", 0, 0x7FF, "CAN id of the frames that are dropped, duplicated, ...; 0: all")
+    probability: float = key(1.0, "-", 0.0, 1.0, "share of these frames that is affected")
+    delay_s: float = key(0.0, "s", 0.0, 10.0, "delay of a delayed frame")
+    jitter_s: float = key(0.0, "s", 0.0, 10.0, "random addition to this delay, up to this value")
     jump_rev: float = key(0.0, "rev", -1e4, 1e4, "the angle jumps by this when the resolver is lost or slips")
-    rate_hz: float = key(100.0, "Hz", 0.1, 10_000.0, "of an EMCY storm")
+    rate_hz: float = key(100.0, "Hz", 0.1, 10_000.0, "rate of an EMCY storm")
 
 
 class FaultInjector(Timed):

@@ -33,19 +33,25 @@ class Personality:
     starts_itself: bool = note(False, "goes OPERATIONAL after boot-up without its master, whatever 0x1F80 says")
     remote: bool = note(True, "statusword bit 9; false: the drive is in local control and takes no controlword")
     warning_code: int = key(0, "-", 0, 0xFFFF, "code of an emergency message that is only a warning; 0 for none")
-    warning_at_s: float = key(-1.0, "s", -1.0, 1e6, "time after power-on at which it is sent; -1: with each enabling")
+    warning_at_s: float = key(
+        -1.0, "s", -1.0, 1e6, "when it is sent, after power-on; -1: each time the drive is enabled"
+    )
     brake_release_s: float = key(0.0, "s", 0.0, 10.0, "holding brake: time to open after enabling; 0 for no brake")
     sto_active: bool = note(False, "safe torque off: bit 4 of the statusword is 0, the drive does not switch on")
     sto_input_bit: int = key(3, "-", 0, 31, "bit of 0x60FD that is 1 while safe torque off is active")
-    dc_link_share: float = key(1.0, "-", 0.0, 2.0, "of plant.dc_link_v, as 0x6079 reports it; too low: no switching on")
-    encoder_counts_per_rev: int = key(0, "-", 0, 1 << 30, "of the encoder; 0: what 0x608F says, or the resolver's")
+    dc_link_share: float = key(
+        1.0, "-", 0.0, 2.0, "share of plant.dc_link_v that 0x6079 reports; if too low, the drive does not switch on"
+    )
+    encoder_counts_per_rev: int = key(0, "-", 0, 1 << 30, "counts of the encoder; 0: as in 0x608F, or the resolver's")
     rated_torque_unit_nm: float = key(1e-3, "Nm", 1e-9, 1.0, "unit of 0x6076")
     rated_current_unit_a: float = key(1e-3, "A", 1e-9, 1.0, "unit of 0x6075")
-    connection_loss_option: int = key(0, "-", 0, 3, "what a drive without 0x6007 does, by the numbers of 0x6007")
-    vendor_mode: int = key(0, "-", -128, 0, "a torque mode of the vendor's own; 0 for none")
+    connection_loss_option: int = key(
+        0, "-", 0, 3, "what a drive without 0x6007 does when the connection is lost; values as in 0x6007"
+    )
+    vendor_mode: int = key(0, "-", -128, 0, "a vendor-specific torque mode; 0 for none")
     vendor_target: str = note("", "object with the target of the vendor's mode")
-    vendor_target_bits: int = key(32, "-", 8, 32, "its size where the drive's file does not have it: 8, 16, 32")
-    vendor_units_per_a: float = key(1.0, "1/A", 1e-6, 1e9, "what the target counts")
+    vendor_target_bits: int = key(32, "-", 8, 32, "size of this object if the drive's file does not give it: 8, 16, 32")
+    vendor_units_per_a: float = key(1.0, "1/A", 1e-6, 1e9, "units of the target per ampere")
     values: Mapping[str, int] = note({}, "by object: another value at power-on")
     lowest: Mapping[str, int] = note({}, "by object: lowest value that it accepts")
     highest: Mapping[str, int] = note({}, "by object: highest value that it accepts")
