@@ -13,40 +13,40 @@ Made by `tools/versions` from the list in `fffo_drive/formats.py`; a test checks
 
 ## Files
 
-A file says `format: fffo_drive/KIND/NUMBER`; one that says nothing is of number 1. The number rises only when one
-version would misread the file of another. A file of an older number is brought up to date as it is read, step by
-step, and left as it is on the disk. One of a newer number is refused with the version of fffo-drive that wrote it,
-as far as it says so (`tool`, `provenance.tool`; what is written by hand does not): that version reads it, and later
-ones do.
+A file says `format: fffo_drive/KIND/NUMBER`; a file without this line has number 1. The number rises only when one
+version would misread the file of another. A file with an older number is converted step by step while it is read; the
+file on the disk is not changed. A file with a newer number is refused. The message names the version of fffo-drive that
+wrote it, if the file says so (`tool`, `provenance.tool`; a file written by hand does not): that version and later ones
+can read it.
 
-A key that a program does not know is an error, so that a mistyped limit is noticed: a file that uses a key of a
-later version is refused with that key. No key changes its meaning, unit or default without another number.
+A key that the program does not know is an error, so that a mistyped limit is noticed: a file that uses a key of a
+later version is refused, and the message names the key. No key changes its meaning, unit or default without a new
+number.
 """
 _REST = """\
 
 `programs of others`: fffo-drive itself never reads it again. `/etc/fffo-drive/.installed.json` has no number: it
-lists what `fffo-drive install` has put in place, and later versions read it.
+lists what `fffo-drive install` has installed, and later versions read it.
 
-Small files of each release are kept in `tests/releases/`; every one is read there by the program of today, and its
-values compared.
+Small files of each release are kept in `tests/releases/`; a test reads each of them with the present version and
+compares its values.
 
 ## Recordings
 
 MCAP, profile `ros2`: rows are messages `fffo_drive_msgs/msg/Row` on `/fffo_drive/row`, events
-`fffo_drive_msgs/msg/Event` on `/fffo_drive/events`, what was in force and asked for `fffo_drive_msgs/msg/Record` on
-`/fffo_drive/records` (recordings of 0.1.0 have none: they are replayed with the axis file and model in them). Names,
-units and places of a row's fields come from the schema that the file carries, never from the program's own list: a
-file with more or fewer fields is read with the fields that it has, and a command that needs one which is not there
-names it. A field keeps its name as long as it keeps unit and meaning. The version that wrote a file stands in its
-metadata (`tool`, `fffo_drive`). The files in it
-(axis, model, record) are of the formats above.
+`fffo_drive_msgs/msg/Event` on `/fffo_drive/events`, what was in force and what was requested
+`fffo_drive_msgs/msg/Record` on `/fffo_drive/records` (recordings of 0.1.0 have none: they are replayed with the axis
+file and model in them). Names, units and places of a row's fields come from the schema in the file, never from the
+program's own list: a file with more or fewer fields is read with the fields that it has, and a command that needs a
+missing field names it. A field keeps its name as long as it keeps unit and meaning. The metadata of a file name the
+version that wrote it (`tool`, `fffo_drive`). The attached files (axis, model, record) have the formats above.
 
 ## API of the daemon
 
-`info` takes `protocol`: a version, or a list of those that the client speaks. It answers with the newest that both
-speak, or refuses and names its own; without the parameter it answers with its newest. Within a version methods,
-parameters and keys of answers are added, and none is taken away or changes its meaning: clients ignore keys that
-they do not know. The versions that this program speaks are `PROTOCOLS` in `fffo_drive/daemon/parameters.py`.
+`info` takes `protocol`: a version, or a list of those that the client supports. It answers with the newest that both
+support, or refuses and names its own; without the parameter it answers with its newest. Within a version methods,
+parameters and keys of answers may be added, but none is removed or changes its meaning: clients must ignore keys that
+they do not know. The versions that this program supports are `PROTOCOLS` in `fffo_drive/daemon/parameters.py`.
 """
 
 

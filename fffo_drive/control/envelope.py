@@ -69,32 +69,41 @@ TRIP_TEXTS = {
 REACTION_COAST = 0
 REACTION_QUICK_STOP = 1
 
-_BRAKES = "the drive still obeys, and brakes by itself: what we compute or measure is not needed for it"
-_IN_CASE = "nothing is lost where the drive does not hear or obey it; where it does, it brakes"
+_BRAKES = "the drive still obeys, and brakes on its own: nothing that this program computes or measures is needed"
+_IN_CASE = "if the drive receives and obeys it, the drive brakes; if not, nothing is lost"
 # reaction to each trip unless envelope.reactions overrides it, and the reason
 DEFAULT_REACTIONS = {
     TRIP_NOT_A_NUMBER: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_OVERSPEED: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_POSITION_WINDOW: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_FOLLOWING_ERROR: (REACTION_QUICK_STOP, _BRAKES),
-    TRIP_I2T: (REACTION_QUICK_STOP, "braking is short beside the time constant of the heat"),
+    TRIP_I2T: (REACTION_QUICK_STOP, "braking takes little time compared with the thermal time constant"),
     TRIP_FEEDBACK_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
     TRIP_STATUS_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
-    TRIP_DRIVE_FAULT: (REACTION_QUICK_STOP, "its fault reaction (0x605E) runs already; 0x0000 could cut that short"),
+    TRIP_DRIVE_FAULT: (
+        REACTION_QUICK_STOP, "its fault reaction (0x605E) is already running; a controlword of 0 (coast) could cut it "
+        "short",
+    ),
     TRIP_EMERGENCY: (
         REACTION_QUICK_STOP, "a drive that stays in Operation Enabled trusts its own feedback and brakes; one that "
         "does not goes through its fault reaction (0x605E), which a quick stop does not disturb",
     ),
-    TRIP_BUS_OFF: (REACTION_QUICK_STOP, "nothing can be sent: the drive stops by 0x6007; this waits for the bus"),
+    TRIP_BUS_OFF: (
+        REACTION_QUICK_STOP, "nothing can be sent now: the drive stops by 0x6007; the quick stop is sent when the bus "
+        "is back",
+    ),
     TRIP_HEARTBEAT: (REACTION_QUICK_STOP, _IN_CASE),
     TRIP_REBOOT: (
-        REACTION_COAST, "no torque is left to brake with, and its quick stop is no longer the one that we have set"
+        REACTION_COAST, "no torque is left to brake with, and its quick-stop settings are no longer those of this "
+        "program",
     ),
     TRIP_DRIVE_LEFT: (REACTION_QUICK_STOP, _IN_CASE),
-    TRIP_NOT_OPERATIONAL: (REACTION_QUICK_STOP, "the drive stops by 0x6007; this waits for its way back"),
+    TRIP_NOT_OPERATIONAL: (
+        REACTION_QUICK_STOP, "the drive stops by 0x6007; the quick stop takes effect when it is operational again",
+    ),
     TRIP_FOREIGN_SYNC: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_LOCAL_CONTROL: (REACTION_QUICK_STOP, _IN_CASE),
-    TRIP_NOT_FOLLOWING: (REACTION_QUICK_STOP, "the target is ignored, the controlword is not"),
+    TRIP_NOT_FOLLOWING: (REACTION_QUICK_STOP, "the drive ignores the target torque, but not the controlword"),
 }  # fmt: skip
 
 UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 this much later than the state to which they belong

@@ -13,8 +13,8 @@ TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "bad_days.md"
 HEAD = """\
 # Bad days of the loop
 
-Made by `tools/bad_days_table` on a fake clock: 480 ticks of 0.5 ms, what happens begins at tick 200. `fffo-drive run`
-and `bench` report every count under its name (`--json`: `ticks`). None of it lets torque through after a trip.
+Made by `tools/bad_days_table` on a fake clock: 480 ticks of 0.5 ms; each event begins at tick 200. `fffo-drive run`
+and `bench` report every count under its name (`--json`: `ticks`). In no case is torque commanded after a trip.
 
 | what happens | counted as | what the loop does |
 | --- | --- | --- |

@@ -10,10 +10,10 @@ from bad_input.cases import CASES, Case, run_case, shown
 
 TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "bad_input.md"
 HEAD = """\
-# Mistakes and what comes of them
+# Mistakes and their messages
 
 Made by `tools/bad_input_table`, which runs every line; a test checks that it is current. Nothing moves in any of them:
-no torque and no Operation Enabled is ever asked for. `axis.yaml` is an axis in process, `bus.yaml` one on CANopen.
+neither torque nor Operation Enabled is ever requested. `axis.yaml` is an axis in process, `bus.yaml` one on CANopen.
 
 | mistake | command | exit code | message |
 | --- | --- | --- | --- |

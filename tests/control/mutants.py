@@ -39,9 +39,9 @@ HEAD = """\
 # Mutants of the envelope
 
 Made by `tools/mutate_envelope`: every comparison, operator, constant, condition and statement of `control/envelope.py`
-in turn made another one, and the envelope's tests run against each, interpreted. Noticed: {noticed} of {count}. The
-rest is listed with the reason why no test can tell it from the original. The tool fails on any other; `.ci/run` runs
-it.
+is changed in turn, and the tests of the envelope run against each change, interpreted. Detected: {noticed} of {count}.
+The others are listed with the reason why no test can tell them from the original. The tool fails if any change that is
+not listed here goes undetected; `.ci/run` runs it.
 
 | mutant | why no test can tell it apart |
 | --- | --- |

@@ -108,18 +108,19 @@ ROWS: tuple[Row, ...] = (
     Row("disk_full", "the disk is full", "the recorder", GOES_ON),
     Row("record_required", "the recording fails, record_required is true", "the supervisor",
         "brakes to standstill and disables"),
-    Row("api_flooded", "twenty clients ask without a pause, some of them rubbish", "the server",
+    Row("api_flooded", "twenty clients send requests without a pause, some of them malformed", "the server",
         "goes on; each is read at 50 requests a second"),
-    Row("config_rubbish", "the axis file is replaced by rubbish and reloaded", "the supervisor", GOES_ON),
+    Row("config_rubbish", "the axis file is replaced with an invalid one and reloaded", "the supervisor", GOES_ON),
 )  # fmt: skip
 
 HEAD = """\
 # Faults
 
-Made by `tools/fault_table` from the rows of `tests/daemon/fault_table.py`; a test lives through each. The axis turns at
+Made by `tools/fault_table` from the rows of `tests/daemon/fault_table.py`; a test reproduces each. The axis turns at
 10 rps at 2 kHz; limits and timeouts are those of `tests/bad_days/axis.yaml`. Times are on the simulated drive's own
-clock, from the fault's beginning: bound, and measured in brackets. Torque ends when none of ours acts any more: a quick
-stop brakes with the drive's own. Faults latch: only `reset_fault` leaves them, and torque needs another `enable`.
+clock, from the start of the fault: the bound, and in brackets the measured value. *Torque ends* when no torque that
+this program commanded acts any more; during a quick stop the drive brakes with its own torque. Faults latch: only
+`reset_fault` clears them, and torque needs another `enable`.
 
 | fault | who notices | what happens | torque ends, ms | standstill, ms |
 | --- | --- | --- | --- | --- |
@@ -151,9 +152,9 @@ def measured() -> dict[str, dict[str, Any]]:
 REACTIONS_HEAD = """
 # Reactions
 
-What the loop asks of the drive after a trip where `envelope.reactions` of the axis file names nothing else. Whatever it
-asks, no torque of ours is commanded from the tick of the trip on. The drive's own words (EMCY, 0x603F, 0x1003,
-statusword) come with each trip.
+What the loop requests from the drive after a trip, unless `envelope.reactions` in the axis file says otherwise.
+Whatever it requests, no torque is commanded from the tick of the trip on. Each trip is reported with what the drive
+itself says (EMCY, 0x603F, 0x1003, statusword).
 
 | trip | text | reaction | why |
 | --- | --- | --- | --- |

@@ -244,6 +244,6 @@ EFFECTS = (
         s.LOAD,
         quadratic_drag,
         (PlantParameter("drag_nm_per_rps2", "Nm s^2/rev^2", 1e-4, -1e-4, 0.01, "torque per speed squared", True),),
-        "drag with the square of the speed",
+        "drag that grows with the square of the speed",
     ),
 )

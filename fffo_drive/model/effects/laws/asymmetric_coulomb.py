@@ -27,7 +27,7 @@ LAW = Law(
             -0.95,
             0.95,
             0.1,
-            "excess in positive direction, as a share of the contact's friction, missing in the other",
+            "excess in positive direction, as a share of the contact's friction; as much is missing in the other",
         ),
     ),
     search=no_shape,

@@ -28,7 +28,7 @@ LAW = Law(
             -1e6,
             1e6,
             1e-3,
-            "excess of the viscous coefficient in positive direction, missing in the other",
+            "excess of the viscous coefficient in positive direction; as much is missing in the other",
         ),
     ),
     search=no_shape,

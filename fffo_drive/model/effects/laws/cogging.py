@@ -37,7 +37,7 @@ LAW = Law(
     regime="everywhere, also at rest",
     lookalikes=("torque_ripple", "friction_ripple", "resolver_error", "unbalance"),
     experiment=(
-        "slow and constant over many periods, both ways at two loads: sign and size stay; at two speeds: the size stays"
+        "slow constant speed over many periods, both ways at two loads: sign and size stay; at two speeds: size stays"
     ),
     motions=("creep", "pairs"),
     picture="motor_angle",

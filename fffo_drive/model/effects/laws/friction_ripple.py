@@ -40,7 +40,7 @@ LAW = Law(
     regime="sliding",
     lookalikes=("cogging", "torque_ripple", "position_dependent_friction"),
     experiment=(
-        "slow and constant over many periods, both ways: the ripple changes sign with the direction, cogging does not"
+        "slow constant speed over many periods, both ways: the ripple changes sign with the direction, cogging does not"
     ),
     motions=("creep",),
     picture="motor_angle",

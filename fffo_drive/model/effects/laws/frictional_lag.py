@@ -34,7 +34,7 @@ LAW = Law(
     axis="travel_since_reversal",
     kernel=frictional_lag,
     parameters=(
-        Parameter("share", "-", STRENGTH, -10.0, 10.0, 0.3, "share of the contact that follows over the other travel"),
+        Parameter("share", "-", STRENGTH, -10.0, 10.0, 0.3, "share of the contact that follows over the second travel"),
         Parameter("length_rev", "rev", SHAPE, 1e-06, 10000.0, 0.05, "the travel", logarithmic=True),
     ),
     search=_search,

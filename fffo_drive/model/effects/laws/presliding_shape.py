@@ -34,7 +34,7 @@ LAW = Law(
     axis="travel_since_reversal",
     kernel=presliding_shape,
     parameters=(
-        Parameter("torque_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "friction that builds up over the other travel"),
+        Parameter("torque_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "friction that builds up over the second travel"),
         Parameter(
             "length_ratio",
             "-",
@@ -42,7 +42,7 @@ LAW = Law(
             0.001,
             1000.0,
             5.0,
-            "the other travel over that of the model, 1/K",
+            "ratio of the second travel to that of the model, 1/K",
             logarithmic=True,
         ),
     ),
@@ -56,7 +56,7 @@ LAW = Law(
     regime="presliding",
     lookalikes=("frictional_lag", "backlash", "elasticity", "stribeck_shape"),
     experiment=(
-        "reversals at two or more accelerations: over travel the shape stays the same; forces below break-away at rest"
+        "reversals at two or more accelerations: over travel the shape stays the same; torques below break-away at rest"
     ),
     motions=("triangles",),
     picture="travel_since_reversal",

@@ -48,7 +48,7 @@ LAW = Law(
     kernel=second_surface,
     parameters=(
         Parameter("level_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "level of the second surface at high speed"),
-        Parameter("rise_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "by which its level is higher at the lowest speed"),
+        Parameter("rise_nm", "Nm", STRENGTH, -1e6, 1e6, 0.01, "by how much its level is higher at the lowest speed"),
         *(
             Parameter(name, unit, SHAPE, *RANGE, typical, meaning, logarithmic=True, plausible=RANGE)
             for name, unit, typical, meaning in (
