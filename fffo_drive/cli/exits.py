@@ -49,6 +49,7 @@ def exit_code_of(error: Exception) -> int | None:
         (RecordingError, EXIT_BAD_INPUT),
         (RecordingGapError, EXIT_IO),
         (FileNotFoundError, EXIT_BAD_INPUT),
+        (IsADirectoryError, EXIT_BAD_INPUT),
         (OSError, EXIT_IO),
     ]
     return next((code for kind, code in codes if isinstance(error, kind)), None)
@@ -56,6 +57,8 @@ def exit_code_of(error: Exception) -> int | None:
 
 def message_of(error: Exception) -> str:
     """One message: the error's own text, and for the system's errors the file as well."""
+    if isinstance(error, IsADirectoryError):
+        return f"{error.filename}: is a directory, and one file is expected here; name a file in it"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)

@@ -468,6 +468,9 @@ CASES = (
     ),
     # files of recordings
     Case("a recording that is none", ("log", "info", AXIS), 78, (f"{AXIS}.*not an MCAP file",)),
+    Case("a directory in place of a recording", ("log", "info", "."), 78, (r"\.: is a directory, and one file",)),
+    Case("a directory in place of a recording to replay", ("replay", "."), 78, (r"\.: is a directory, and one file",)),
+    Case("a directory in place of a log to import", ("import", ".", "--out", "new"), 78, (r"\.: is a directory",)),
     Case("a recording that is not there", ("log", "info", "none.mcap"), 78, ("none.mcap: No such file",)),
     Case(
         "an output that is there already", ("log", "recover", AXIS, MODEL), 74,
