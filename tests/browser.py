@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -36,7 +34,6 @@ def waited_for(page: Any, expression: str, patience_s: float) -> Any:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    sys.path.append(str(Path(__file__).resolve().parents[1] / "tools"))
     from headless import chromium
 
     with chromium() as browser:

@@ -1,4 +1,4 @@
-"""Shared by all tests: helper modules beside the tests are importable, and all processes share one cache of kernels."""
+"""Shared by all tests: modules beside them and in tools are importable; all processes share one cache of kernels."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent
+TOOLS = TESTS.parent / "tools"  # trial_axes, rigid_regression, headless
 if str(TESTS) not in sys.path:
     sys.path.insert(0, str(TESTS))
+    sys.path.append(str(TOOLS))
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba"))  # kept with the environment
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command has it: small matrices, and workers share the cores

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commissioning.misdeclared import HIGHEST_A, HIGHEST_REV, HIGHEST_RPS, LOWEST_REV, MisdeclaredDrive, TalkingDrive
+from trial_axes.random_axis import wide_axis
 
 from fffo_drive.commissioning.bounds import BoundsError, make_bounds
 from fffo_drive.commissioning.estimate import LARGEST_UNEXPLAINED, RIGID_UNEXPLAINED
@@ -17,7 +18,6 @@ from fffo_drive.commissioning.record import DeclaredFacts, overall
 from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED
 from fffo_drive.drive.simulated.parameters import DeviceConfig, EffectConfig, PlantConfig, paper_plant
-from fffo_drive.evaluation.random_axis import wide_axis
 from fffo_drive.workflows.plan import make_plan, plan_session
 
 pytestmark = pytest.mark.slow

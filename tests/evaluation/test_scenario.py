@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import random_axis, wide_axis
+from trial_axes.robustness import HUNTING, STABLE, probe
 
 from fffo_drive.cli import main
 from fffo_drive.config.axis import build_profile, read_axis
@@ -28,9 +31,6 @@ from fffo_drive.control.reference import MODE_VELOCITY, piecewise_linear
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.evaluation.campaign import run_campaign, run_case, simulate
-from fffo_drive.evaluation.passivity import comes_to_rest
-from fffo_drive.evaluation.random_axis import random_axis, wide_axis
-from fffo_drive.evaluation.robustness import HUNTING, STABLE, probe
 from fffo_drive.evaluation.summary import summarise
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "configs" / "scenarios"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigid_regression import RigidSettings, fit_rigid, rigid_error_percent
 from shared_data import shared_files
 
 from fffo_drive.identification.dataset import load_record
@@ -18,7 +19,6 @@ from fffo_drive.identification.fit import FitSettings, fit_records
 from fffo_drive.identification.ladder import climb
 from fffo_drive.identification.layout import EffectStart
 from fffo_drive.identification.regression import regression_start
-from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 
 FACTS = Path(__file__).parent / "emps.yaml"
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from identification.synthetic import AXIS, KT, PERIOD_S, chirp_record, record_of
+from rigid_regression import RigidSettings, fit_rigid, rigid_error_percent
 
 from fffo_drive.identification.dataset import DataError
 from fffo_drive.identification.kinematics import acting_torque_nm, low_pass, motion_of, travel_since_reversal_rev
 from fffo_drive.identification.regression import regression_start
-from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 
 
 def test_the_filter_has_no_phase_and_unit_gain_at_rest():

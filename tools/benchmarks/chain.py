@@ -3,8 +3,8 @@
   .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER] [--rows FILE]
 
 Each axis has every number, its delay and its noise spread by half, one of five friction laws, one to three effects, a
-resolver or an encoder (fffo_drive/evaluation/random_axis.wide_axis). Axes that no controller can bring to rest are
-counted apart (fffo_drive/evaluation/passivity). The chain gets only the torque constant, 5 % wrong:
+resolver or an encoder (tools/trial_axes/random_axis.wide_axis). Axes that no controller can bring to rest are
+counted apart (tools/trial_axes/passivity). The chain gets only the torque constant, 5 % wrong:
 `commission` begins with an assumed inertia and delay; `tune` designs for the longer of its delay and the fitted one.
 
 A thousand axes take over an hour. With `--rows` the results are saved after every batch, and the same command resumes
@@ -24,6 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from common import RESULTS, ROOT, commit, machine, progress_bar
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import RandomAxis, wide_axis
+from trial_axes.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
 
 from fffo_drive.commissioning.bounds import make_bounds
 from fffo_drive.commissioning.procedure import commission
@@ -40,9 +43,6 @@ from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.metrics import Floats
-from fffo_drive.evaluation.passivity import comes_to_rest
-from fffo_drive.evaluation.random_axis import RandomAxis, wide_axis
-from fffo_drive.evaluation.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
@@ -83,7 +83,7 @@ class Outcome(NamedTuple):
     effects: tuple[str, ...]
     passive: bool
     refused: str  # why the chain gave no gains; empty when it did
-    verdict: str  # of evaluation.robustness, with the tuned gains
+    verdict: str  # of trial_axes.robustness, with the tuned gains
     nominal: str  # ... with those of the scenario
     creep_counts: float  # nan where it was not run
     nominal_creep_counts: float

@@ -25,6 +25,7 @@ import numpy as np
 from fffo_drive.cli.progress import progress_bar
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "tools"))  # trial_axes, headless and whatever else is no part of the package
 RESULTS = Path(__file__).resolve().parent / "results"
 RESAMPLES = 4000
 COVERAGE = 0.95

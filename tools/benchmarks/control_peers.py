@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from common import commit, machine
 from scipy.stats import binomtest
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import SPREAD, random_axis
 
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import Scenario, case_of, read_scenario
@@ -25,7 +27,6 @@ from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.drive.simulated.surfaces import KINDS
 from fffo_drive.evaluation.campaign import Case
 from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
-from fffo_drive.evaluation.passivity import comes_to_rest
 from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
     PLUS,
@@ -41,7 +42,6 @@ from fffo_drive.evaluation.peers.laws import (
 )
 from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
 from fffo_drive.evaluation.peers.measures import PeerMeasures, measure_peer
-from fffo_drive.evaluation.random_axis import SPREAD, random_axis
 
 HERE = Path(__file__).resolve().parent
 SCENARIO = HERE.parents[1] / "configs" / "scenarios" / "paper.yaml"
@@ -296,7 +296,7 @@ def preface(made_from: str, seconds: float) -> list[str]:
         "the",
         "friction estimate. Intervals are 95 %: over resampled seeds, and Wilson's for shares of axes.",
         "",
-        "A random axis has inertia, torque constant, delay, sensor and effects of evaluation/random_axis, and friction",
+        "A random axis has inertia, torque constant, delay, sensor and effects of trial_axes/random_axis, and friction",
         f"parameters within {100 * SPREAD:.0f} % of the plant's. The laws know inertia, torque constant and delay",
         "without effects, and their gains are scaled with them; they do not know the effects. x: median over axes of a",
         "law's true ISE over that of PI+FFFO+. The peers' loop has the law's current limit, but no envelope.",

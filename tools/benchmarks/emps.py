@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from common import ROOT, Report, finish, main, parser, shown
+from rigid_regression import RigidSettings, fit_rigid, rigid_error_percent
 
 from fffo_drive.diagnosis.diagnose import diagnose
 from fffo_drive.diagnosis.results import Diagnosis, Finding
 from fffo_drive.identification.dataset import Record, load_record
 from fffo_drive.identification.facts import read_facts
-from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 from fffo_drive.units import NORMAL_95
 
 NAME = "emps"

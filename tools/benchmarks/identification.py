@@ -15,6 +15,7 @@ from in_c import Declarations, compile_c, compiler_version, packed
 sys.path.insert(0, str(ROOT / "tests" / "identification"))
 
 from rig import PERIOD_S, random_plant, record, truth
+from rigid_regression import RigidSettings, fit_rigid, rigid_error_percent
 from synthetic import AXIS
 
 from fffo_drive.identification.coordinates import MODEL_PARAMETERS
@@ -22,7 +23,6 @@ from fffo_drive.identification.dataset import Record, load_record
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts, read_facts
 from fffo_drive.identification.fit import Fit, FitSettings, fit_records
-from fffo_drive.identification.rigid import RigidSettings, fit_rigid, rigid_error_percent
 from fffo_drive.model import friction
 from fffo_drive.model.axis import AxisState, simulate_into
 from fffo_drive.model.friction import REST

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, shown
+from common import Figures, Report, finish, interleaved, main, paired_ratio, shown
 from daemon import DRIVE, PATIENCE_S, TICKS_PER_S, Daemon, measure, timed_passes, until
 from running_axis import Axis
 
@@ -138,7 +138,6 @@ def run_passes(daemon: Streaming, axis: Axis, seconds: float, passes: int) -> tu
 
 def pictures_hz(daemon: Streaming, axis: Axis, seconds: float) -> float | None:
     """What a browser draws beside two other clients; None without one."""
-    sys.path.append(str(ROOT / "tools"))
     import headless
 
     if headless.program() is None:

@@ -30,6 +30,9 @@ from chain import (
     tuned,
 )
 from common import Report, finish, main, paired_ratio, parser, shown
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import RandomAxis, wide_axis
+from trial_axes.robustness import HUNTING, STABLE, probe
 
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import ControllerConfig
@@ -42,9 +45,6 @@ from fffo_drive.drive.simulated.effects.declaration import PlantEffect, PlantPar
 from fffo_drive.drive.simulated.effects.registry import EFFECTS
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
-from fffo_drive.evaluation.passivity import comes_to_rest
-from fffo_drive.evaluation.random_axis import RandomAxis, wide_axis
-from fffo_drive.evaluation.robustness import HUNTING, STABLE, probe
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification.tuning import HOLD_SHARE
 from fffo_drive.jit import njit

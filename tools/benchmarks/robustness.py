@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from common import progress_bar
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import RandomAxis, random_axis
+from trial_axes.robustness import STABLE, Probe, probe
 
-from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.stability import LinearAxis, Margins, loop_margins
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.evaluation.campaign import Candidate, Case, warm_up
-from fffo_drive.evaluation.passivity import comes_to_rest
-from fffo_drive.evaluation.random_axis import RandomAxis, random_axis
-from fffo_drive.evaluation.robustness import STABLE, Probe, probe
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.units import inertia_nm_s2_per_rev
 
@@ -101,7 +101,7 @@ def axes_table(drawn: list[RandomAxis], every: list[Found], case: Case) -> list[
     found = [one for one in every if one.passive]
     lines = [
         f"{len(active)} of them supply energy, so that no controller can bring them to rest "
-        "(fffo_drive/evaluation/passivity.py), and are omitted: "
+        "(tools/trial_axes/passivity.py), and are omitted: "
         + (", ".join(f"{axis.number} ({', '.join(axis.effects)})" for axis in active) or "none")
         + ".",
         "",
@@ -218,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "# Robustness",
         "",
         "Made by tools/benchmarks/robustness.py. Gains of configs/scenarios/paper.yaml, tuned to the nominal axis and",
-        "not retuned. fffo_drive/evaluation/robustness.py defines unstable and limit cycle.",
+        "not retuned. tools/trial_axes/robustness.py defines unstable and limit cycle.",
         "",
         "Linear margins on the nominal axis: "
         + ", ".join(

@@ -19,10 +19,10 @@ from unittest.mock import patch
 import numpy as np
 from chain import SCENARIO, declared_nm_per_a, excitations, facts_of
 from common import RESULTS, commit, machine, progress_bar
+from trial_axes.random_axis import wide_axis
 
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.evaluation.campaign import Case, warm_up
-from fffo_drive.evaluation.random_axis import wide_axis
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification import fit as fitting
 from fffo_drive.identification.dataset import DataError

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
-from .dataset import Record
-from .kinematics import central_difference, low_pass
+from fffo_drive.identification.dataset import Record
+from fffo_drive.identification.kinematics import central_difference, low_pass
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..drive.simulated.effects.registry import EFFECTS
-from ..drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig
-from ..drive.simulated.surfaces import PlantFriction, Surface
+from fffo_drive.drive.simulated.effects.registry import EFFECTS
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig, ResolverConfig
+from fffo_drive.drive.simulated.surfaces import PlantFriction, Surface
 
 SPREAD = 0.3  # of the numbers of the axis
 DELAY_S = (0.001, 0.005)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..drive.simulated.pack import new_state, plant_parameters
-from ..drive.simulated.parameters import PlantConfig, noiseless
-from ..drive.simulated.plant import plant_advance
-from ..drive.simulated.state import (
+from fffo_drive.drive.simulated.pack import new_state, plant_parameters
+from fffo_drive.drive.simulated.parameters import PlantConfig, noiseless
+from fffo_drive.drive.simulated.plant import plant_advance
+from fffo_drive.drive.simulated.state import (
     ANGLE_REV,
     SPEED_PER_TORQUE,
     SUBSTEPS_PER_S,
@@ -24,9 +24,9 @@ from ..drive.simulated.state import (
     PlantParameters,
     PlantState,
 )
-from ..jit import njit
-from ..units import inertia_nm_s2_per_rev
-from .metrics import Floats
+from fffo_drive.evaluation.metrics import Floats
+from fffo_drive.jit import njit
+from fffo_drive.units import inertia_nm_s2_per_rev
 
 KICKS_RPS = (0.5, -2.0, 8.0)  # initial speed of the free axis
 IDEAL_BANDWIDTH_HZ = 20.0  # of the controller without delay; its integral time is ten times 1 / (2 pi 20 Hz)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT, TRIP_NONE
-from ..control.reference import MODE_VELOCITY, Profile, piecewise_linear
-from ..drive.simulated.parameters import noiseless
-from .campaign import Candidate, Case, simulate
-from .metrics import Floats, Rows, rms
+from fffo_drive.control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT, TRIP_NONE
+from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
+from fffo_drive.drive.simulated.parameters import noiseless
+from fffo_drive.evaluation.campaign import Candidate, Case, simulate
+from fffo_drive.evaluation.metrics import Floats, Rows, rms
 
 RAMP_S = 0.02
 PLATEAU_S = 4.0
