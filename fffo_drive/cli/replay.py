@@ -74,6 +74,7 @@ def sentences(files: list[Path], report: ReplayReport, other: str | None) -> lis
         lines.append(
             f"  {report.not_replayed} rows not replayed: the recording lacks the beginning of that motion or rows of it"
         )
+    lines += [f"  torn: {reason}" for reason in report.torn]
     if not report.names_blocks:
         lines.append("  a recording of an older version: the axis file and the model in it were used for all its rows")
     return lines

@@ -95,6 +95,7 @@ class ReplayReport(NamedTuple):
     profiles: ProfilesRun
     live: LiveRows
     names_blocks: bool  # False: a recording of an older version among them
+    torn: tuple[str, ...] = ()  # of each recording that is not whole: where it ends, and the rows kept
 
     @property
     def exact(self) -> bool:

@@ -301,7 +301,7 @@ class _Collector:
         stated = sum(count for channel, count in self.stated.items() if channel in self.layouts)
         if tear is None and self.stated and stated != len(rows):
             tear = f"states {stated} rows in its statistics"
-        reason = "" if tear is None else f"{self.path} {tear}; {len(rows)} rows, up to the last whole chunk, were read"
+        reason = "" if tear is None else _torn(self.path, tear, len(rows))
         return Run(
             path=self.path,
             rows=rows,
@@ -316,6 +316,14 @@ class _Collector:
             complete=tear is None,
             reason=reason,
         )
+
+
+def _torn(path: Path, tear: str, rows: int) -> str:
+    """What everybody says who reads a recording that is not whole."""
+    return (
+        f"{path} {tear}; {rows} rows, up to the last whole chunk, were read "
+        "(`fffo-drive log recover` makes a whole file of them)"
+    )
 
 
 def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Array, Array]:

@@ -23,8 +23,10 @@ AXIS_FORMAT = b"fffo_drive/axis/"
 def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayReport:
     """Replay recordings, one after the other. `other`: an axis or a model file. Raises DocumentError."""
     replayer: Replayer | None = None
+    torn: list[str] = []
     for file in files:
         run = read_run(file)
+        torn += [run.reason] if run.reason else []
         if replayer is None:
             replayer = Replayer(None if other is None else _other_law(other, run))
         fallback = None
@@ -38,7 +40,7 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
             raise DocumentError(f"{file}: {error}; replay it with the version that wrote it") from None
     if replayer is None:
         raise DocumentError("no recording is given: there is nothing to replay")
-    return replayer.report
+    return replayer.report._replace(torn=tuple(torn))
 
 
 def with_continuations(files: Iterable[Path]) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 
 import numpy as np
@@ -98,6 +99,21 @@ def test_files_of_a_rotated_run_are_one_run_and_each_stands_alone(story, cut):
         assert set(part.rows["parameters_number"].tolist()) <= named
     assert any(report.not_replayed for report in alone)  # those that begin in a motion
     assert sum(report.rows for report in alone) > 300
+
+
+def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_reaches_and_says_so(story, tmp_path, capsys):
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(story.read_bytes()[: story.stat().st_size * 3 // 4])
+    run = read_run(torn)
+    assert not run.complete
+    assert main(["replay", str(torn), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["torn"] == [run.reason]
+    assert main(["replay", str(torn)]) == 0
+    said = capsys.readouterr().out
+    assert f"ends at byte {torn.stat().st_size}" in said
+    assert f"; {run.rows.size} rows" in said
+    assert "log recover" in said
+    assert replay_files([story]).torn == ()
 
 
 def test_a_missing_file_costs_the_rows_until_the_law_rests(cut):
