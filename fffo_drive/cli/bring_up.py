@@ -6,9 +6,9 @@ Checks that the bus has no other master, scans it (also for nodes without an id,
 lists what keeps it from Operation Enabled, measures the highest rate that drive, bus and this machine allow (SYNC and
 feedback, the drive stays disabled), and writes the axis file and a first model, each value with its source.
 
-At a terminal it asks for what no drive reports; options give the same. For the measurement the drive's PDOs, its
-monitoring and the objects of its profile are set up as for a run; nothing is stored in the drive. The next step is
-`fffo-drive commission`, which moves the axis.
+At a terminal it asks for values that no drive reports; they can also be given as options. For the measurement the
+drive's PDOs, its monitoring and the objects of its profile are set up as for a run; nothing is stored in the drive. The
+next step is `fffo-drive commission`, which moves the axis.
 
 exit codes: 0 ready to be commissioned, 69 no node answers or the bus is not free, 70 the drive is not ready,
 78 the files exist already, or a value is unknown

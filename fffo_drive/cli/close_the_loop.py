@@ -6,8 +6,8 @@ profile is held out: it is not used to choose effects. Everything is written to 
 itself is not changed. DIR/report.html and report.json have the tracking error before and after, DIR/diagnosis the
 findings.
 
-With a simulated drive the timeouts are longer. If the machine is too busy, a run is repeated, and then all runs at 1000
-or 500 Hz. On hardware a disturbed run is an error.
+With a simulated drive the timeouts are longer. If the machine is too busy, a run is repeated; if that is not enough,
+all runs are repeated at 1000 or 500 Hz. On hardware a disturbed run is an error.
 
 Exit codes: 0 adopted, or nothing found; 1 a gate refuses the finding, or the held-out run does not confirm it; 69 no
 bus; 70 drive fault, or this machine can keep none of the rates; 74 disk error; 78 bad input.

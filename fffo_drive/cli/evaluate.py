@@ -4,7 +4,8 @@
   fffo-drive evaluate --runs pi.mcap pi_fffo.mcap --out DIR
   fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus, in real time, one run after another
 
-Writes report.html and report.json to DIR and prints the metrics. A seed varies noise and phases of the reference.
+Writes report.html and report.json to DIR and prints the metrics. Each seed draws other noise and other phases of the
+reference.
 """
 
 from __future__ import annotations

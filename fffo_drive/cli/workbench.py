@@ -1,8 +1,8 @@
 """Open the workbench: record, identify, tune, diagnose and adopt in a browser, on this machine.
 
 AXIS is an axis file. Recordings of any program can be given as well or instead (with --drive, the facts about their
-drive). Every button runs a command in its own process, with progress and cancel; the page shows the command, and the
-results are written to --out. The page asks before a drive on a bus moves.
+drive). Every button runs a command in its own process, which can be cancelled; the page shows the command and its
+progress, and the results are written to --out. The page asks before a drive on a bus moves.
 
 --fleet STORE shows a fleet's records in a tab of their own, and makes its records and its report.
 

@@ -92,7 +92,7 @@ class MismatchSection(StrictRecord):
         Literal["random", "high", "low"], Field(description="signs of these errors; random: drawn for each seed")
     ] = "random"
     factors: Annotated[
-        dict[str, Factor], Field(description=f"factors on single numbers: {', '.join(FRICTION_KEYS + AXIS_KEYS)}")
+        dict[str, Factor], Field(description=f"factors on individual numbers: {', '.join(FRICTION_KEYS + AXIS_KEYS)}")
     ] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -499,12 +499,12 @@ class DaemonSection(StrictRecord):
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0
     stop_timeout_s: Annotated[
         float,
-        Field(gt=0, le=60, description="a controlled stop that takes longer becomes a quick stop, and that a fault"),
+        Field(gt=0, le=60, description="a controlled stop that takes longer becomes a quick stop, then a fault"),
     ] = 3.0
     retry_s: Annotated[float, Field(ge=0.05, le=600, description="time between attempts to reach the drive")] = 2.0
     supervisor_timeout_s: Annotated[
         float,
-        Field(ge=0.1, le=60, description="if the supervisor is silent for this time, the loop quick-stops and ends"),
+        Field(ge=0.1, le=60, description="if the supervisor is silent this long, the loop makes a quick stop and ends"),
     ] = 1.0
     scope: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the scope page; HOST is 127.0.0.1; null: none (extra `live`)")

@@ -48,7 +48,8 @@ class FrictionModel(StrictRecord):
         "classical"
     )
     omega: Annotated[
-        Literal["clipped", "signed", "literal"], Field(description="interpretation of (4), see model/friction")
+        Literal["clipped", "signed", "literal"],
+        Field(description="how Omega follows from F at a reversal, see model/friction.py"),
     ] = "clipped"
     viscous_nm_per_rps: Annotated[Quantity, Field(description="viscous slope sigma, Nm s/rev")]
     coulomb_nm: Annotated[Quantity, Field(description="Coulomb level Fc, Nm")]
@@ -120,7 +121,7 @@ class Provenance(StrictRecord):
     date: Annotated[str, Field(description="local date on which it was made, YYYY-MM-DD")] = ""
     tool: Annotated[str, Field(description="program, version and command that wrote it; empty: written by hand")] = ""
     runs: list[str] = Field(default_factory=list, description="SHA-256 of the runs to which it was fitted")
-    note: Annotated[str, Field(description="a remark for readers of the file; without influence")] = ""
+    note: Annotated[str, Field(description="a remark for readers of the file; it has no effect")] = ""
 
 
 class ModelFile(StrictRecord):
