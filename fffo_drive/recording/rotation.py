@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,8 @@ from typing import NamedTuple
 from .container import MAGIC
 from .writer import PART_SUFFIX
 
-FINISHED = "*.mcap"
+SUFFIX = ".mcap"
+FINISHED = f"*{SUFFIX}"
 UNFINISHED = FINISHED + PART_SUFFIX
 _OWN_LIBRARY = b"fffo-drive/"
 
@@ -24,8 +26,28 @@ class QuotaReport(NamedTuple):
 
 
 def segment_path(path: Path, number: int) -> Path:
-    """File `number` of a run: NAME.mcap, NAME_002.mcap, ... (they sort in this order)."""
+    """File `number` of a run: NAME.mcap, NAME_002.mcap, ...; `segment_order` puts them in this order."""
     return path if number <= 1 else path.with_name(f"{path.stem}_{number:03d}{path.suffix}")
+
+
+def run_name(path: Path) -> str:
+    """NAME of NAME.mcap and NAME.mcap.part."""
+    return path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX)
+
+
+def segment_order(path: Path) -> tuple[str, int]:
+    """Sort key of recordings, finished or not: name of the run, number of the file in it."""
+    name = run_name(path)
+    run, _, number = name.rpartition("_")
+    return (run, int(number)) if run and number.isdecimal() else (name, 1)
+
+
+def later_segments(path: Path) -> list[Path]:
+    """Files beside a recording with the names of its continuations, finished or being written, in their order."""
+    name = run_name(path)
+    found = (other for other in path.parent.glob(f"{glob.escape(name)}_[0-9]*{SUFFIX}*") if other.is_file())
+    named = (other for other in found if other.name.endswith((SUFFIX, SUFFIX + PART_SUFFIX)))
+    return sorted((other for other in named if segment_order(other)[0] == name), key=segment_order)
 
 
 def is_taken(path: Path) -> bool:
@@ -41,7 +63,7 @@ def enforce_quota(directory: Path, quota_bytes: int, keep: Collection[Path] = ()
     counted.
     """
     kept = {path.name for path in keep}
-    finished: list[tuple[int, str, int, Path]] = []
+    finished: list[tuple[int, tuple[str, int], int, Path]] = []
     total = 0
     for path in (*directory.glob(FINISHED), *directory.glob(UNFINISHED)):
         with contextlib.suppress(OSError):
@@ -50,7 +72,7 @@ def enforce_quota(directory: Path, quota_bytes: int, keep: Collection[Path] = ()
                 continue
             total += status.st_size
             if path.match(FINISHED) and path.name not in kept:
-                finished.append((status.st_mtime_ns, path.name, status.st_size, path))
+                finished.append((status.st_mtime_ns, segment_order(path), status.st_size, path))
     deleted = []
     for _, _, size, path in sorted(finished):
         if total <= quota_bytes:

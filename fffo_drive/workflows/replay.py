@@ -15,6 +15,7 @@ from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
 from ..recording.reader import Run, read_metadata, read_run
+from ..recording.rotation import SUFFIX, later_segments, run_name
 
 MODEL_FORMAT = "fffo_drive/model/"
 AXIS_FORMAT = b"fffo_drive/axis/"
@@ -55,9 +56,8 @@ def with_continuations(files: Iterable[Path]) -> list[Path]:
 
 def _continuations(file: Path) -> Iterator[Path]:
     """NAME_002.mcap, NAME_003.mcap ... that continue this file by their metadata; also one that is being written."""
-    stem = file.name.removesuffix(".part").removesuffix(".mcap")
-    for other in sorted((*file.parent.glob(f"{stem}_[0-9]*.mcap"), *file.parent.glob(f"{stem}_[0-9]*.mcap.part"))):
-        if other != file and read_metadata(other).get("continues") == f"{stem}.mcap":
+    for other in later_segments(file):
+        if read_metadata(other).get("continues") == f"{run_name(file)}{SUFFIX}":
             yield other
 
 

@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from recording.samples import random_rows, write_run
 
 from fffo_drive.recording.recover import recover
-from fffo_drive.recording.rotation import enforce_quota, is_own, segment_path
+from fffo_drive.recording.rotation import enforce_quota, is_own, later_segments, segment_order, segment_path
 from fffo_drive.recording.settings import RotationPolicy
 
 
@@ -56,9 +56,27 @@ def test_recovered_files_are_own(tmp_path):
 
 
 def test_names_sort_in_the_order_of_the_segments(tmp_path):
-    names = [segment_path(tmp_path / "run.mcap", number).name for number in range(1, 120)]
-    assert names[:2] == ["run.mcap", "run_002.mcap"]
-    assert names == sorted(names)
+    files = [segment_path(tmp_path / "run.mcap", number) for number in range(1, 1120)]
+    assert [file.name for file in files[:2]] == ["run.mcap", "run_002.mcap"]
+    assert sorted(reversed(files), key=segment_order) == files
+    assert [file.name for file in sorted(files)] != [file.name for file in files]  # a thousand has a digit more
+
+
+def test_the_continuations_of_a_run_come_by_their_number(tmp_path):
+    first = tmp_path / "run[1].mcap"
+    wanted = [segment_path(first, number) for number in (2, 999, 1000)]
+    wanted.append(tmp_path / "run[1]_1001.mcap.part")
+    others = [tmp_path / name for name in ("run[1]_2nd.mcap", "run1_002.mcap", "run[1]_3.mcap.x")]
+    for file in (first, *wanted, *others):
+        file.touch()
+    (tmp_path / "run[1]_004.mcap").mkdir()
+    assert later_segments(first) == wanted
+
+
+def test_of_files_of_one_moment_the_first_of_a_run_goes_first(tmp_path):
+    names = [f"run_{number}.mcap" for number in (1000, 999)]
+    late, early = [recording(tmp_path, name, 10) for name in names]
+    assert enforce_quota(tmp_path, late.stat().st_size).deleted == (early,)
 
 
 @pytest.mark.parametrize("field", ["max_bytes", "max_duration_s", "quota_bytes"])
