@@ -218,18 +218,18 @@ def across_word(shapes: Mapping[str, float]) -> str:
 class CurveModel(StrictRecord):
     """A free curve or table as a model file and a report have it; the kernel takes `packed_curve` of it.
 
-    A table has a row of values for each level. A response has two: shares of the motor torque in phase, and those a
-    quarter of a period late.
+    A table has a row of values for each level. A response has two rows: the share of the motor torque in phase, and the
+    share a quarter of a period late.
     """
 
     kind: Annotated[KindWord, Field(description="what the values are, see KINDS")]
     unit: Annotated[str, Field(description="of the values")]
     scale: Annotated[float, Field(ge=0, description="period of an angle, rev; time constant of a memory, s")] = 0.0
     of_current: Annotated[bool, Field(description="memory of the squared current (A2) instead of the speed")] = False
-    knots: Annotated[list[float], Field(description="values of the variable, rising")]
+    knots: Annotated[list[float], Field(description="values of the variable, ascending")]
     across: Annotated[Axis | Literal["speed"] | None, Field(description="second variable of a table")] = None
     across_scale: Annotated[float, Field(ge=0, description="as scale, for the second variable")] = 0.0
-    levels: Annotated[list[float], Field(description="values of the second variable, rising")] = Field(
+    levels: Annotated[list[float], Field(description="values of the second variable, ascending")] = Field(
         default_factory=list
     )
     values: Annotated[list[float] | list[list[float]], Field(description="one per knot; in a table one row per level")]
