@@ -332,6 +332,19 @@ def test_a_sync_counter_is_switched_off_in_the_right_order(config):
     assert order == [(0x1006, 0), (0x1019, 0), (0x1006, 500)]
 
 
+def test_a_drive_that_sends_sync_is_silenced_before_its_cob_id_changes(config):
+    class Producer(ScriptedNode):
+        def check(self, index, sub, value):
+            producing = self.number(0x1005) >> 30
+            changed = (int.from_bytes(value, "little") ^ self.number(0x1005)) & 0x1FFFFFFF
+            return RANGE if index == 0x1005 and producing and changed else 0
+
+    objects = servo_dictionary(NODE) | {(0x1005, 0): struct.pack("<I", 0x40000090)}
+    with Producer(config.bus, NODE, objects) as node, CanopenDrive(config):
+        assert node.number(0x1005) == 0x80
+    assert [int.from_bytes(value, "little") for index, _, value in node.written if index == 0x1005] == [0x90, 0x80]
+
+
 def test_an_inhibit_time_is_needed_for_events_only(config):
     config = dataclasses.replace(config, tpdos=feedback_pdos(NODE, 10, 255))
     text = refusal(config, ScriptedNode(config.bus, NODE, without((0x1802, 3))))

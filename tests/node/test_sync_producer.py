@@ -53,6 +53,18 @@ def test_without_a_period_and_with_one_that_it_cannot_keep_nothing_is_sent() -> 
     assert rig.write(0x1005, 0, PRODUCER, 4) == DEVICE_STATE
 
 
+@pytest.mark.conformance("CiA 301", "SYNC producer (bit 30 of 0x1005)")
+def test_while_it_produces_its_identifier_stays_even_in_the_write_that_ends_it() -> None:
+    rig = Rig()
+    rig.write(0x1006, 0, 1000, 4)
+    assert rig.write(0x1005, 0, PRODUCER, 4) == 0
+    assert rig.write(0x1005, 0, 0x90, 4) == INVALID_VALUE
+    assert rig.wait(2) == ["080#"] * 2  # nothing has changed
+    assert rig.write(0x1005, 0, 0x80, 4) == 0
+    assert rig.write(0x1005, 0, 0x40000090, 4) == 0  # it does not produce: both at once
+    assert rig.wait(2) == ["090#"] * 2
+
+
 def test_a_drive_whose_time_is_made_of_syncs_makes_its_own() -> None:
     rig = Rig(NodeConfig(step_by_sync=True))
     rig.write(0x1006, 0, 500, 4)

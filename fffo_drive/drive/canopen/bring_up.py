@@ -170,6 +170,9 @@ def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
 def _configure_sync(service: Service, config: CanopenDriveConfig) -> None:
     reported = service.read_optional_int(0x1005, 0)  # a drive without the object uses the predefined COB-ID
     if reported is not None and reported & (SYNC_PRODUCER | can.STANDARD_MASK) != can.SYNC:
+        if reported & SYNC_PRODUCER:  # the COB-ID of a producer must not be changed (CiA 301 7.5.2.5)
+            silent = reported & ~SYNC_PRODUCER
+            write_checked(service, 0x1005, 0, silent, 4, "a bus with one source of SYNC", mask=SYNC_PRODUCER)
         write_checked(service, 0x1005, 0, can.SYNC, 4, "receiving our SYNC", mask=SYNC_PRODUCER | can.STANDARD_MASK)
     if service.read_optional_int(0x1019, 0):  # a counter would need a byte in SYNC
         write_if_present(service, 0x1006, 0, 0, 4, "changing 0x1019")

@@ -130,7 +130,7 @@ class SyncConsumer(Timed):
         if can_id != SYNC:
             check_can_id(can_id)
         existing = self.od.number(COB_ID_SYNC)
-        if existing & value & SYNC_PRODUCER and can_id != existing & STANDARD_MASK:
+        if existing & SYNC_PRODUCER and can_id != existing & STANDARD_MASK:
             raise SdoAbortError(Abort.INVALID_VALUE)
         if value & SYNC_PRODUCER and 0 < self.od.number(CYCLE_PERIOD) < SHORTEST_PERIOD_US:
             raise SdoAbortError(Abort.DEVICE_STATE)
