@@ -39,12 +39,10 @@ from ..model.parameters import ModelFile, content_hash, model_text, read_model
 from ..recording.settings import RecorderSettings, RotationPolicy
 from ..runtime.realtime import RealtimeRequest
 from ..runtime.records import ModelNote
-from ..runtime.session import SessionConfig
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S
 from .drive_profile import with_profile
 from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
-from .effects import compensation_table
 from .sections import (
     AdaptationSection,
     ControllerSection,
@@ -67,7 +65,6 @@ from .sections import (
 
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
-RING_S = 4.0  # what the recorder may lag behind the loop on a bus
 TOGGLES = {name: toggle for toggle, name in TOGGLE_NAMES.items()}
 TRIP_NAMES = {
     name.removeprefix("TRIP_").lower(): value
@@ -295,23 +292,6 @@ def realtime_request(axis: AxisFile) -> RealtimeRequest:
     section = axis.realtime
     cpu = {"last": -1, "any": -2}.get(str(section.cpu))
     return RealtimeRequest(section.priority, int(section.cpu) if cpu is None else cpu, section.lock_memory)
-
-
-def session_config(
-    axis: AxisFile, model: ModelFile, longest_profile: int, ring_rows: int | None = None
-) -> SessionConfig:
-    """Everything that a session is made from. `ring_rows`: None for what a recorder beside the loop needs."""
-    return SessionConfig(
-        loop_config(axis),
-        controller_config(axis, model),
-        envelope_config(axis),
-        realtime_request(axis),
-        axis.realtime.required,
-        longest_profile,
-        ring_rows or round(RING_S * axis.loop.rate_hz),
-        compensation_table(axis, model),
-        model_note(model),
-    )
 
 
 def model_note(model: ModelFile) -> ModelNote:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +22,7 @@ from ..model.effects import slots as s
 from ..model.effects.registry import LAWS, is_compensable, law_of
 from ..model.effects.table import Term, along_into, effect_table
 from ..model.parameters import EffectModel, ModelFile
-
-if TYPE_CHECKING:
-    from .axis import AxisFile
+from .axis import AxisFile, loop_axis
 
 Floats = npt.NDArray[np.float64]
 
@@ -171,8 +169,6 @@ class SlopeMargin(NamedTuple):
 
 def slope_margin(axis: AxisFile, model: ModelFile, profile: Profile, observer_on: bool) -> SlopeMargin:
     """The proof with all compensated effects. Without the observer the integral part itself must stay positive."""
-    from .axis import loop_axis  # it imports this module
-
     config = model.axis_config()
     needed_nm = config.friction.static_nm
     if profile.mode == MODE_VELOCITY:

@@ -25,7 +25,7 @@ from ..evaluation.measures import Yardstick
 from ..model.parameters import ModelFile, Quantity
 from ..runtime.runs import simulated_ring_rows
 from ..symbols import FRICTION
-from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, model_of, read_axis, session_config
+from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, model_of, read_axis
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
@@ -41,6 +41,7 @@ from .sections import (
     length_problems,
     refuse_adaptation_beside,
 )
+from .session import session_config
 from .simulated import read_simulated
 
 FRICTION_KEYS = tuple(FRICTION)

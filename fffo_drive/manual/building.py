@@ -18,7 +18,6 @@ from ..directories import own_directory, shared_place
 
 PACKAGE = Path(__file__).resolve().parent
 SOURCES = PACKAGE / "pages"
-SCRIPTS = PACKAGE / "scripts"
 BUILT = PACKAGE / "built"  # inside a wheel only: tools/manual_in_wheel.py puts it there
 SOURCE_TREE = PACKAGE.parent.parent  # of a clone; in a wheel there is none
 INDEX = "index.html"
@@ -83,13 +82,13 @@ def build(out: Path, strict: bool = True) -> Path:
         )
     from sphinx.cmd.build import main as sphinx_build
 
-    from .generated import write_generated
+    from .generated import write_generated  # loads slowly
 
     with tempfile.TemporaryDirectory(prefix="fffo-drive-manual-") as name:
         work = Path(name)
         source = work / "source"
         shutil.copytree(SOURCES, source, ignore=shutil.ignore_patterns("__pycache__"))
-        write_generated(source)
+        write_generated(source, SOURCE_TREE)
         words = ["-q", "-b", "html", "-d", str(work / "doctrees"), *(["-W", "--keep-going"] if strict else [])]
         code = sphinx_build([*words, str(source), str(work / "html")])
         if code != 0:

@@ -9,29 +9,27 @@ from pathlib import Path
 
 import fffo_drive
 
-from .building import SCRIPTS, SOURCE_TREE
 from .figures import draw_all
 from .reference import pages
 
-PICTURES = SOURCE_TREE / "tools" / "pictures"
-TABLES = SOURCE_TREE / "tools" / "tables"
-RESULTS = SOURCE_TREE / "tools" / "benchmarks" / "results"
+SCRIPTS = Path(__file__).resolve().parent / "scripts"
 LINK = re.compile(r"\]\((?!https?://|#)([^)]+)\)")
 
 
-def write_generated(source: Path) -> None:
-    """Write all generated pages and pictures below the copied sources."""
-    draw_all(source / "figures", SOURCE_TREE / "configs", RESULTS)
+def write_generated(source: Path, tree: Path) -> None:
+    """Write all generated pages and pictures below the copied sources. `tree`: the source tree."""
+    configs, tables, results = tree / "configs", tree / "tools" / "tables", tree / "tools" / "benchmarks" / "results"
+    draw_all(source / "figures", configs, results)
     reference = source / "reference"
     for name, text in pages().items():
         (reference / f"{name}.md").write_text(text, encoding="utf-8")
-    shutil.copytree(SOURCE_TREE / "configs", source / "configs", ignore=shutil.ignore_patterns("*.md"))
+    shutil.copytree(configs, source / "configs", ignore=shutil.ignore_patterns("*.md"))
     (source / "pictures").mkdir()
-    for picture in PICTURES.glob("*.png"):
+    for picture in (tree / "tools" / "pictures").glob("*.png"):
         shutil.copy(picture, source / "pictures")
-    for folder, origin in (("tables", TABLES), ("results", RESULTS)):
+    for folder, origin in (("tables", tables), ("results", results)):
         _copy_pages(origin, source / folder)
-    (source / "howto" / "mistakes.md").write_text(mistakes((TABLES / "bad_input.md").read_text(encoding="utf-8")))
+    (source / "howto" / "mistakes.md").write_text(mistakes((tables / "bad_input.md").read_text(encoding="utf-8")))
     shutil.copytree(SCRIPTS, source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
     (source / "tutorial" / "library.md").write_text(library(source / "scripts"), encoding="utf-8")
 

@@ -14,7 +14,6 @@ from ..config.axis import (
     deciding_section,
     model_of,
     read_axis,
-    session_config,
 )
 from ..config.checks import bus_problems, law_problems, motion_problems, profile_problems, require, velocity_problems
 from ..config.commissioning import Permission, require_identity
@@ -22,6 +21,7 @@ from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, effect_problems
 from ..config.sections import ProfileSection, length_problems
+from ..config.session import session_config
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
 from ..documents import StrictRecord, load

@@ -18,10 +18,11 @@ from ..can import frame as can
 from ..can.bpf import CanFilter
 from ..can.frame import longest_bits, pack_frame, unpack_frame
 from ..can.link import LinkError, open_link
-from ..config.axis import AxisFile, session_config
+from ..config.axis import AxisFile
 from ..config.checks import bus_problems
 from ..config.drive_section import CanopenDriveSection
 from ..config.sections import LoopSection
+from ..config.session import session_config
 from ..drive.canopen.config import CanopenDriveConfig, load_of
 from ..drive.canopen.drive import CanopenDrive
 from ..drive.canopen.object_map import MappingError

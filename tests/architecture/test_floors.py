@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -34,11 +35,22 @@ def part_of(path: Path) -> str:
     return relative.parts[0].removesuffix(".py")
 
 
-def imported_modules(path: Path) -> set[str]:
-    """Absolute names of the modules of this package that a file imports, relative imports resolved."""
+def _checked_only(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def imported_modules(path: Path, of_types: bool = True) -> set[str]:
+    """Absolute names of the modules of this package that a file imports, relative imports resolved.
+
+    `of_types`: with those that only a type checker imports.
+    """
     package = ["fffo_drive", *path.relative_to(PACKAGE).parent.parts]
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    tree = ast.parse(path.read_text())
+    left_out = set() if of_types else {id(n) for one in ast.walk(tree) if _checked_only(one) for n in ast.walk(one)}
+    for node in ast.walk(tree):
+        if id(node) in left_out:
+            continue
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -58,6 +70,13 @@ def test_a_module_imports_from_floors_below_and_its_own_package_only(path):
         other = name.split(".")[1]
         if other in FLOORS and other != own:
             assert FLOORS[other] < FLOORS[own], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    """Neither when it is loaded nor later, inside a function; what only a type checker imports may go round."""
+    files = {".".join(["fffo_drive", *path.relative_to(PACKAGE).with_suffix("").parts]): path for path in SOURCES}
+    graph = {name: imported_modules(path, of_types=False) & set(files) for name, path in files.items()}
+    TopologicalSorter(graph).prepare()  # raises CycleError with the circle
 
 
 def test_every_part_of_the_package_has_a_floor():

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fffo_drive.config.axis import AxisFile, build_profile, controller_config, envelope_config, session_config
+from fffo_drive.config.axis import AxisFile, build_profile, controller_config, envelope_config
 from fffo_drive.config.effects import compensation_table
+from fffo_drive.config.session import session_config
 from fffo_drive.control.controller import pack_controller
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig

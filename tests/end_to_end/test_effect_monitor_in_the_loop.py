@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fffo_drive.config.axis import AxisFile, build_profile, session_config
+from fffo_drive.config.axis import AxisFile, build_profile
+from fffo_drive.config.session import session_config
 from fffo_drive.drive.cia402 import GOAL_ENABLED
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig

@@ -9,7 +9,7 @@ import pytest
 from evaluation.asked import AXIS, PERIOD_S, models
 from evaluation.gated import GatedDrive, GatedRun
 
-from fffo_drive.config.axis import session_config
+from fffo_drive.config.session import session_config
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile
 from fffo_drive.control.set_point import GeneratorState, SetPoint, set_point_step

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from evaluation.gated import GatedDrive, GatedRun
 
-from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note, session_config
+from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.config.sections import VelocitySection
+from fffo_drive.config.session import session_config
 from fffo_drive.control.compensation import ALL_EFFECTS
 from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY, piecewise_linear, sine
 from fffo_drive.control.set_point import SetPoint

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fffo_drive.config.axis import AxisFile, session_config
+from fffo_drive.config.axis import AxisFile
+from fffo_drive.config.session import session_config
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import PlantConfig, delay_budget, paper_plant
 from fffo_drive.identification.dataset import Record

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import RESULTS, ROOT, commit, machine, progress_bar
 
-from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis, session_config
+from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis
 from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, PaperProfile, RestSection
+from fffo_drive.config.session import session_config
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.adaptation import EXCITED_SHARE, adaptation_at_start, adapted_torque
 from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS

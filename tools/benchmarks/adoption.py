@@ -18,8 +18,9 @@ sys.path.insert(0, str(ROOT / "tests" / "identification"))
 from refit import EffectsFit, fit_effects
 from rig import PERIOD_S, TABLE_1, record
 
-from fffo_drive.config.axis import AxisFile, build_profile, session_config
+from fffo_drive.config.axis import AxisFile, build_profile
 from fffo_drive.config.effects import compensated_terms, effect_problems
+from fffo_drive.config.session import session_config
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import Profile
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
