@@ -31,6 +31,7 @@ from ..model.effects import slots as s
 from ..model.effects.registry import law_of, law_of_kernel
 from ..model.effects.table import Term, derive_signals, effect_table
 from ..model.friction import FrictionConfig, FrictionState, friction_step
+from ..packing import flat_names, pack, reader
 from .feedforward import Reference
 
 Floats = npt.NDArray[np.float64]
@@ -43,8 +44,8 @@ RAMP_S = 0.25  # into service and out of it
 COUNT = 0
 TOTAL_LIMIT_NM = 1
 LEAD_S = 2  # from the measured position to the torque of this tick's command
-FRICTION = 3  # FrictionConfig, 8 numbers
-SIGNALS = 11  # at rest, with the constants of the axis
+FRICTION = 3  # FrictionConfig, packed
+SIGNALS = FRICTION + len(flat_names(FrictionConfig))  # at rest, with the constants of the axis
 FIRST_EFFECT = SIGNALS + s.N_SLOTS
 ADDRESS = 0  # of an effect's part
 LIMIT_NM = 1
@@ -93,7 +94,7 @@ def pack_compensation(
     packed = no_compensation()
     source = effect_table(terms, axis, period_s, feedforward=True)
     packed[COUNT], packed[TOTAL_LIMIT_NM], packed[LEAD_S] = len(terms), limits.total_nm, lead_s
-    packed[FRICTION : FRICTION + 8] = axis.friction
+    packed[FRICTION:SIGNALS] = pack(axis.friction)
     packed[SIGNALS : SIGNALS + s.N_SLOTS] = source.signals
     for k in range(len(terms)):
         part = _part(packed, k)
@@ -109,7 +110,7 @@ def effect_names(table: Floats) -> list[str]:
 
 def table_numbers(table: Floats) -> tuple[list[str], Floats]:
     """(names, numbers): the process-independent part of a table, without addresses and unused parameters."""
-    names = ["count", "total_limit_nm", "lead_s", *(f"friction.{name}" for name in FrictionConfig._fields)]
+    names = ["count", "total_limit_nm", "lead_s", *flat_names(FrictionConfig, "friction.")]
     names += [f"signal.{name}" for name in s.SIGNAL_NAMES]
     parts = [table[:FIRST_EFFECT]]
     for k, law in enumerate(effect_names(table)):
@@ -142,6 +143,9 @@ def _part(table: Floats, effect: int) -> Floats:
     return table[FIRST_EFFECT + effect * EFFECT_SIZE :][:EFFECT_SIZE]
 
 
+_unpack_friction = njit(reader(FrictionConfig, "unpack_friction"))
+
+
 @njit
 def compensation_rest(memory: Floats) -> None:
     """Clear the memory if it is not clear: the law does not act, or the table is new."""
@@ -153,10 +157,7 @@ def compensation_rest(memory: Floats) -> None:
 @njit
 def _path_friction(table: Floats, memory: Floats, velocity_rps: float, period_s: float) -> FrictionState:
     """Friction on the reference, independent of the error."""
-    c = FRICTION
-    config = FrictionConfig(
-        table[c], table[c + 1], table[c + 2], table[c + 3], table[c + 4], table[c + 5], table[c + 6], int(table[c + 7])
-    )
+    config = _unpack_friction(table[FRICTION:SIGNALS])
     before = FrictionState(memory[PATH], memory[PATH + 1], memory[PATH + 2], memory[PATH + 3])
     state = friction_step(config, before, velocity_rps, 0.0, period_s)
     memory[PATH] = state.torque_nm

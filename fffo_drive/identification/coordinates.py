@@ -38,10 +38,9 @@ class Coordinates(NamedTuple):
 
 def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per_rev: float) -> Floats:
     """Physical parameters (all of PARAMETERS) at the start of a fit."""
-    return np.array([
-        start.inertia_nm_s2_per_rev, start.delay_s, start.viscous_nm_per_rps, start.coulomb_nm, start.static_nm,
-        start.stribeck_velocity_rps, start.stribeck_exponent, stiffness_per_rev, attraction_nm_per_rev, 0.0, 0.0,
-    ])  # fmt: skip
+    values = {**start._asdict(), **dict.fromkeys(NUISANCES, 0.0)}
+    values.update(stiffness_per_rev=stiffness_per_rev, attraction_nm_per_rev=attraction_nm_per_rev)
+    return np.array([values[name] for name in PARAMETERS])
 
 
 def coordinates(
@@ -104,6 +103,7 @@ def _logarithmic(size: int) -> list[bool]:
 
 def axis_of(physical: Floats, torque_constant_nm_per_a: float) -> tuple[AxisConfig, Nuisance]:
     """Constants of the kernels from physical parameters. The delay is that of the position: without a sensor's lag."""
-    p = [float(value) for value in physical]
-    friction = FrictionConfig(p[3], p[4], p[5], p[6], p[2], p[7], p[8], OMEGA_CLIPPED)
-    return AxisConfig(p[0], torque_constant_nm_per_a, p[1], friction), Nuisance(p[10], p[9])
+    p = dict(zip(PARAMETERS, (float(value) for value in physical), strict=False))  # those of effects follow
+    friction = FrictionConfig(**{name: p[name] for name in FRICTION}, omega_form=OMEGA_CLIPPED)
+    axis = AxisConfig(p["inertia_nm_s2_per_rev"], torque_constant_nm_per_a, p["delay_s"], friction)
+    return axis, Nuisance(**{name: p[name] for name in NUISANCES})
