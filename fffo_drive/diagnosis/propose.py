@@ -20,6 +20,7 @@ from ..identification.threads import in_threads
 from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
+from ..units import MAD_TO_SD
 from .base import NAMES
 from .curves import Curve, CurvePair, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
@@ -362,5 +363,5 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
 
 
 def _limits(data: Data, fitted: Fitted) -> tuple[float, float]:
-    level = 1.4826 * float(np.median(np.abs(fitted.residual_nm[data.used])))
+    level = MAD_TO_SD * float(np.median(np.abs(fitted.residual_nm[data.used])))
     return -6.0 * level, 6.0 * level

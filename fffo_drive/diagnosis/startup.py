@@ -21,6 +21,7 @@ from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
 from ..identification.rows import turns_one_way
 from ..identification.threads import in_threads
+from ..units import MAD_TO_SD
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
 from .rows import DiagnosisRows, DiagnosisStretch
@@ -52,7 +53,7 @@ def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
         root = np.sqrt(weight)
         values = np.linalg.lstsq(root[:, None] * matrix / scale, root * torque, rcond=1e-8)[0] / scale
         left = torque - matrix @ values
-        level = max(1.4826 * float(np.median(np.abs(left))), 1e-300)
+        level = max(MAD_TO_SD * float(np.median(np.abs(left))), 1e-300)
         weight = np.minimum(1.0, HUBER * level / np.maximum(np.abs(left), 1e-300))
     return Regression(values, float(np.mean(weight * left * left)), level)
 
@@ -124,7 +125,7 @@ def _physical(start: TorqueStart, stretches: Sequence[DiagnosisStretch], rows: D
 
     def loss(physical: Floats) -> float:
         residual = residual_rows(ready, physical, rows)[rows.kept]
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        scale = max(MAD_TO_SD * float(np.median(np.abs(residual))), 1e-12)
         return float(huber(residual / scale).mean()) * scale * scale
 
     losses = list(in_threads(loss, candidates))

@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..jit import njit
-from .detector import BURN_IN, CLIP, NORMAL_MAD
+from ..units import MAD_TO_SD
+from .detector import BURN_IN, CLIP
 from .history import RunHistory, joined
 from .matrices import factor, inverse_total, medians_of_known
 from .words import WORDS
@@ -240,7 +241,7 @@ def _extras(
         for k in np.flatnonzero(resolved):
             size = sample[np.isfinite(sample[:, k]), k]
             usual = float(np.median(size))
-            spread = NORMAL_MAD * float(np.median(np.abs(size - usual)))
+            spread = MAD_TO_SD * float(np.median(np.abs(size - usual)))
             steady[k] = usual / spread if spread > 0.0 and usual > LEAST_STEADINESS * spread else 0.0
         chosen = np.sort(np.argsort(steady)[::-1][:MOST_ORDERS])
         orders = [float(whole.orders[k]) for k in chosen if steady[k] > 0.0]
@@ -273,7 +274,7 @@ def learn(stack: Stack) -> FleetPrior:
         covariance, slopes = _between_runs(stack, logged, covariance, 2)
         share = logged.size / (logged.size + PRIOR_DRIVES)
         slope = share * np.median(slopes, axis=0)
-        spread = NORMAL_MAD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
+        spread = MAD_TO_SD * np.median(np.abs(slopes - np.median(slopes, axis=0)), axis=0)
         slope_sd = np.sqrt(share * spread**2 + (1.0 - share) * slope_sd**2)
     unlogged, _ = _between_runs(stack, drives, typical_covariance(stack.columns), 1)
     line = slope if logged.size else _line(stack, unlogged)

@@ -31,6 +31,7 @@ import numpy.typing as npt
 from scipy import optimize
 
 from ..jit import njit
+from ..units import MAD_TO_SD
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -43,7 +44,6 @@ SLOPES = np.array([1.0, 2.5])  # l: a small shift and a large one
 LONGEST_TAIL, TAILS = 15.0, 1501  # largest half width of the uniform scores in the bound, and how many are tried
 MOST_ALARMS = 4  # of one drive
 BURN_IN = 8  # runs that set a level: what comes after is judged against it, these are not
-NORMAL_MAD = 1.4826  # standard deviation over the median magnitude
 LEVEL, TEMPERATURE, SPEED = range(3)  # coefficients of a channel
 # a channel's memory: 3 coefficients, their covariance over the variance, shape and sum of the variance, the run before
 _B, _V, _SHAPE, _SUM, _LAST, _HAS = 0, 3, 12, 13, 14, 17
@@ -166,7 +166,7 @@ def _settle(
     state[_B] = centre
     for k in range(count):
         scratch[k] = abs(scratch[k] - centre)
-    spread = NORMAL_MAD * median_of(scratch, count)
+    spread = MAD_TO_SD * median_of(scratch, count)
     shape = state[_SHAPE]
     scale = math.sqrt((state[_SUM] + 0.5 * count * spread * spread) / (shape + 0.5 * count))
     for n in range(begin, end):

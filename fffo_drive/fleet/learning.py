@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..jit import njit
+from ..units import MAD_TO_SD
 from .channels import (
     COLUMNS,
     LEARNED_DRIVES,
@@ -22,7 +23,7 @@ from .channels import (
     channels_of,
     learn,
 )  # fmt: skip
-from .detector import BURN_IN, CLIP, NORMAL_MAD, SCALE_CLIP_SQUARED, SCALE_MEAN, ChannelPrior, detect, median_of
+from .detector import BURN_IN, CLIP, SCALE_CLIP_SQUARED, SCALE_MEAN, ChannelPrior, detect, median_of
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -57,7 +58,7 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
         if number:
             centre = np.median(fits.slopes, axis=0)
             own = np.median(fits.slope_variance, axis=0)
-            spread = (NORMAL_MAD * np.median(np.abs(fits.slopes - centre), axis=0)) ** 2
+            spread = (MAD_TO_SD * np.median(np.abs(fits.slopes - centre), axis=0)) ** 2
             mean[c, 1:] = share * centre
             between = share * np.maximum(spread - own, 0.1 * spread) + (1.0 - share) * slope_sd[c] ** 2 + 1e-12
             lag = float(fits.lag.sum()) / max(float(fits.energy.sum()), 1e-300)
@@ -66,7 +67,7 @@ def channel_prior(stack: Stack, channels: Channels) -> ChannelPrior:
             logs = np.log(fits.variance)
             dof = float(np.median(fits.dof))
             variance[c] = np.exp(share * np.median(logs))
-            beyond = (NORMAL_MAD * np.median(np.abs(logs - np.median(logs)))) ** 2 - SCALE_WASTE * 2.0 / dof
+            beyond = (MAD_TO_SD * np.median(np.abs(logs - np.median(logs)))) ** 2 - SCALE_WASTE * 2.0 / dof
             wide = 1.0 / max(float(beyond), 1e-3)  # the variance of the logarithm is about 1 / shape
             shape[c] = np.clip(share * wide, LEAST_SHAPE, LARGEST_SHAPE)
         covariance[c] = np.diag([LEVEL_RUNS * usual, *(between / variance[c])])
@@ -102,7 +103,7 @@ def _scale(rows: Floats, count: int, scratch: Floats) -> float:
     """Standard deviation of what is left beside a level and two slopes, by the middle of it (Huber's proposal 2)."""
     for k in range(count):
         scratch[k] = abs(rows[k, 4])
-    scale = NORMAL_MAD * median_of(scratch, count)
+    scale = MAD_TO_SD * median_of(scratch, count)
     few = count / (count - 3.0)
     for _ in range(8):
         if scale <= 0.0:

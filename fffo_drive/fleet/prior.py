@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from .. import formats
+from ..units import MAD_TO_SD
 from .channels import MEAN_DEGC, STEP_K, Stack, marginal, stacked
 from .history import RunHistory
 from .learning import learned
@@ -207,7 +208,7 @@ def random_effects(information: Floats, moment: Floats) -> tuple[Floats, Floats]
     known = information + 1e-9 * np.einsum("dii->di", information).max() * np.eye(size)
     own = np.linalg.solve(known, moment[:, :, None])[:, :, 0]
     mean = np.median(own, axis=0)
-    spread = 1.4826 * np.median(np.abs(own - mean), axis=0)
+    spread = MAD_TO_SD * np.median(np.abs(own - mean), axis=0)
     floor = LEAST_SPREAD**2 * np.eye(size)
     covariance = np.diag(spread**2) + floor
     for _ in range(ROUNDS):

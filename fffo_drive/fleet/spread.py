@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from scipy import special
 
 from ..jit import njit
+from ..units import MAD_TO_SD
 from .history import SCALARS, US_PER_S, column_of, edges_of, matrix_of
 from .regress import PARAMETERS, UPPER, solve_each, unpacked
 from .schema import HIGHEST_ORDER, unit_of
@@ -26,7 +27,6 @@ OUTSIDE_P = 0.01  # chance that any drive of a model is reported as an outlier i
 LEAST_DRIVES = 5  # that make a population
 LEAST_ORDER_RUNS = 0.5  # of a drive's runs have to resolve an order
 RESIDUAL = "residual_rms_nm"
-MAD_TO_SD = 1.4826  # of a normal distribution
 MAD_DOF = 0.5  # of the drives: with it 0.3 to 1.3 % of 5 to 400 normal drives have one outside by chance (20,000 draws)
 SEPARATOR = "\x1f"
 

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # its modules load where they are first used
 
+from ..units import MAD_TO_SD
+
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
@@ -82,7 +84,7 @@ def levels(residual: Floats, kept: npt.NDArray[np.bool_], classes: Integers) -> 
     for number in np.unique(classes):
         inside = kept & (classes == number)
         sample = inside if inside.sum() >= LEAST_IN_LEVEL else kept
-        level = 1.4826 * float(np.median(np.abs(residual[sample]))) if sample.any() else 1.0
+        level = MAD_TO_SD * float(np.median(np.abs(residual[sample]))) if sample.any() else 1.0
         weight[inside] = 1.0 / max(level, 1e-300)
     return weight
 

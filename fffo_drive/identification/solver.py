@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..units import MAD_TO_SD
 from .coordinates import Coordinates, to_physical
 from .prediction import Problem, jacobian, residual
 
@@ -31,9 +32,9 @@ class Solution(NamedTuple):
 
 
 def robust_scale(errors: Floats) -> float:
-    """Standard deviation of the middle of the residuals: 1.4826 times the median magnitude."""
+    """Standard deviation of the middle of the residuals, from their median magnitude."""
     thinned = errors[:: max(1, errors.size // SAMPLE)]
-    return max(1.4826 * float(np.median(np.abs(thinned))), 1e-6)
+    return max(MAD_TO_SD * float(np.median(np.abs(thinned))), 1e-6)
 
 
 def huber_weights(errors: Floats, scale: float) -> Floats:
