@@ -30,7 +30,7 @@ NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
 TIME = 0x100
-TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
+TPDO1, TPDO2, TPDO3 = 0x180, 0x280, 0x380
 RPDO1, RPDO2, RPDO3, RPDO4 = 0x200, 0x300, 0x400, 0x500
 SDO_RESPONSE = 0x580  # from the drive
 SDO_REQUEST = 0x600  # to the drive
@@ -128,15 +128,15 @@ def exact_bits(can_id: int, data: bytes = b"", *, extended: bool = False) -> int
 
 
 @lru_cache(maxsize=1024)
-def typical_bits(can_id: int, data_bytes: int, *, extended: bool = False) -> float:
+def typical_bits(can_id: int, data_bytes: int) -> float:
     """Mean of `exact_bits` over random payloads (a fixed sequence, so that the figure never changes)."""
     if data_bytes == 0:
-        return float(exact_bits(can_id, b"", extended=extended))
+        return float(exact_bits(can_id))
     total, state = 0, 1
     for _ in range(_TYPICAL_PAYLOADS):
         payload = bytearray()
         for _ in range(data_bytes):
             state = (1103515245 * state + 12345) & 0x7FFF_FFFF
             payload.append(state >> 23)
-        total += exact_bits(can_id, bytes(payload), extended=extended)
+        total += exact_bits(can_id, bytes(payload))
     return total / _TYPICAL_PAYLOADS

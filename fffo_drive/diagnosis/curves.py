@@ -249,12 +249,9 @@ def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_:
     return np.stack([filter_.rows(hat * level) for level in levels for hat in first], axis=1)
 
 
-def linear_basis(places: Floats, knots: Floats, beyond: float | None = None) -> Floats:
-    """Linear interpolation weights, one column per knot. (n, k)
-
-    Beyond the last knot its value holds, or `beyond` where given.
-    """
-    return np.stack([np.interp(places, knots, unit, right=beyond) for unit in np.eye(knots.size)], axis=1)
+def linear_basis(places: Floats, knots: Floats) -> Floats:
+    """Linear interpolation weights, one column per knot; beyond the last one its value holds. (n, k)"""
+    return np.stack([np.interp(places, knots, unit) for unit in np.eye(knots.size)], axis=1)
 
 
 def factor(scene: Scene, kind: float) -> Floats:

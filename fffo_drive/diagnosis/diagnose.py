@@ -202,7 +202,7 @@ def assemble(
         unexplained_rest=rest,
         runs_look=look,
         first_p=selected.first_p,
-        cautions=tuple(cautions(selected, facts, look, remarks, held_out, fitted)),
+        cautions=tuple(cautions(facts, look, remarks, held_out, fitted)),
         tried=tuple(_tried(selected)),
         settings={
             "false_alarm_rate": settings.false_alarm_rate, "cutoff_hz": data.rows.filter.cutoff_hz,
@@ -299,9 +299,8 @@ def contradictions(selected: Selection, fit: Sequence[Record]) -> list[str]:
 
 
 def cautions(
-    selected: Selection, facts: DriveFacts, look: RunsLook | None, remarks: Sequence[str],
-    held_out: Sequence[Record], fitted: Fitted,
-) -> list[str]:  # fmt: skip
+    facts: DriveFacts, look: RunsLook | None, remarks: Sequence[str], held_out: Sequence[Record], fitted: Fitted
+) -> list[str]:
     """Remarks that a reader needs beside the verdict, one sentence each."""
     found = list(remarks)
     found += [remark.text for remark in look.remarks if remark.kind != "repeated_reference"] if look else []

@@ -149,7 +149,7 @@ def fit_records(
     constant = [_constant(physical, uncertainty)] if offsets else []
     return Fit(
         physical[: len(PARAMETERS)], uncertainty, space, problem, solution, start, lag_s, lag_sd_s, literal_loss,
-        tuple(_warnings(problem, solution, space, literal_loss)),
+        tuple(_warnings(solution, space, literal_loss)),
         (*constant, *effects_of(problem.layout, physical, uncertainty.sd)), ladder,
     )  # fmt: skip
 
@@ -304,7 +304,7 @@ def sensor_delay(records: Sequence[Record]) -> tuple[float | None, float | None]
     return sum(products) / sum(squares), ratio_sd(np.array(products), np.array(squares))
 
 
-def _warnings(problem: Problem, solution: Solution, space: Coordinates, literal_loss: float | None) -> list[str]:
+def _warnings(solution: Solution, space: Coordinates, literal_loss: float | None) -> list[str]:
     found = []
     if not solution.converged:
         found.append(f"the fit had not settled after {solution.iterations} iterations")

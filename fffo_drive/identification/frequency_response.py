@@ -45,7 +45,6 @@ class FirstOrder(NamedTuple):
 
     gain_rps_per_a: float
     time_constant_s: float
-    rms_db: float  # of the fit, where the coherence is good
 
 
 class DampingPoint(NamedTuple):
@@ -129,8 +128,7 @@ def fit_first_order(response: FrequencyResponse) -> FirstOrder:
         ),
         key=lambda result: float(result.cost),
     )
-    rms = float(np.sqrt(np.mean(errors(found.x) ** 2)))
-    return FirstOrder(math.exp(found.x[0]), math.exp(found.x[1]), 20.0 * rms / math.log(10.0))
+    return FirstOrder(math.exp(found.x[0]), math.exp(found.x[1]))
 
 
 def damping_over_amplitude(

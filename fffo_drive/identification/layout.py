@@ -103,7 +103,7 @@ def layout_of(effects: Sequence[EffectStart], scales: EffectScales) -> EffectLay
                 continue
             runs = effect.per_run.get(p.name)
             for run, value in enumerate(runs) if runs is not None else [(SHARED, given[p.name])]:
-                low, high = _bounds(law, p, float(value), given, scales)
+                low, high = _bounds(p, float(value), given, scales)
                 scale = _scale(p, float(value), given, scales)
                 found.append(LayoutParameter(k, p.name, run, float(value), scale, low, high, p.name in free))
     return EffectLayout(tuple(effect.name for effect in effects), tuple(found))
@@ -134,9 +134,7 @@ def _counts_periods(p: Parameter) -> bool:
     return p.unit == "Hz" and not p.logarithmic
 
 
-def _bounds(
-    law: Law, p: Parameter, value: float, given: Mapping[str, float], scales: EffectScales
-) -> tuple[float, float]:
+def _bounds(p: Parameter, value: float, given: Mapping[str, float], scales: EffectScales) -> tuple[float, float]:
     if p.kind == STRENGTH:
         return p.low, p.high
     reach = math.inf

@@ -210,7 +210,7 @@ def _verdict(result: BenchResult) -> Verdict:
         finding=f"{best} is best",
         confidence=_confidence(result, best, "PI"),
         next_step=step,
-        lines=[_sizes(result, best), _surety(result, best), timing, last],
+        lines=[_sizes(result, best), _surety(result), timing, last],
         reasons=_reasons(result, names),
         cautions=cautions,
     )
@@ -224,7 +224,7 @@ def _sizes(result: BenchResult, best: str) -> Line:
     return Line(label="How big", text=text + f"(PI {significant(base.max)} rps), over {result.data.duration_s:g} s.")
 
 
-def _surety(result: BenchResult, best: str) -> Line:
+def _surety(result: BenchResult) -> Line:
     ends = result.intervals.get("PI", {}).get("ise")
     if ends is None:
         return Line(label="How sure", text="The run is too short for an interval.")

@@ -225,7 +225,7 @@ def _verdict(source: CircleSource) -> Verdict:
     if source.unexplained_rest:
         cautions.append(f"Not explained: {source.unexplained_rest}.")
     lines += [Line(label="Model", text=text) for text in reasons[:1]]
-    lines.append(_next(source, step))
+    lines.append(_next(step))
     return Verdict(
         headline=headline, finding=finding, confidence=confidence, next_step=step, alarm=step == "roll back",
         lines=lines, reasons=reasons[1:], cautions=cautions,
@@ -253,7 +253,7 @@ def _size(tracking: Tracking) -> str:
     return f"{'; '.join(texts)}.".capitalize()
 
 
-def _next(source: CircleSource, step: str) -> Line:
+def _next(step: str) -> Line:
     if step == "roll back":
         command = "fffo-drive adopt --rollback --axis axis.yaml"
         return Line(label="Next", text="The axis is worse with it: take it out of service.", command=command)

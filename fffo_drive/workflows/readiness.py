@@ -45,7 +45,7 @@ def stands_between(
     """
     word = objects.value(0x6041)
     found = [
-        *_state(objects, word),
+        *_state(word),
         *_fault(objects, emergencies, word),
         *_supply(objects, word),
         *_control(word, operational),
@@ -72,7 +72,7 @@ def velocity_step(velocity_units_per_rps: float, feedback_band_rps: float) -> li
     ]  # fmt: skip
 
 
-def _state(objects: SdoObjects, word: int | None) -> Iterator[HostFinding]:
+def _state(word: int | None) -> Iterator[HostFinding]:
     if word is None:
         yield failure("state", "the drive reports no statusword (0x6041)", "is it a CiA 402 drive, and the right node?")
         return

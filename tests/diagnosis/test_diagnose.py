@@ -327,14 +327,14 @@ def test_a_delay_is_a_note_and_never_a_finding():
     _, base = based(runs(nothing, duration_s=9.0))
     late = FACTS.model_copy(update={"nominal_delay_s": 0.0})
     for facts, count in ((late, 1), (FACTS.model_copy(update={"nominal_delay_s": 0.002}), 0), (FACTS, 0)):
-        texts = cautions(None, facts, None, [], [object()], base)
+        texts = cautions(facts, None, [], [object()], base)
         assert sum("delay" in text for text in texts) == count
     relative = FACTS.model_copy(update={"absolute_angle": False})
     wave = effect("cogging", {"cos_nm": 1e-3, "sin_nm": 0.0}, order=3.0)
     object.__setattr__(wave, "per_run", frozenset({"cos_nm", "sin_nm"}))
     own = Fitted(base.physical, (wave,), 1.0, base.residual_nm, base.white)
-    assert any("homed angle" in text for text in cautions(None, relative, None, [], [object()], own))
-    assert not any("homed angle" in text for text in cautions(None, FACTS, None, [], [object()], own))
+    assert any("homed angle" in text for text in cautions(relative, None, [], [object()], own))
+    assert not any("homed angle" in text for text in cautions(FACTS, None, [], [object()], own))
 
 
 def test_no_runs_are_refused_in_a_sentence():

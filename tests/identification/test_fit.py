@@ -128,5 +128,5 @@ def test_logs_of_different_rates_are_not_mixed():
 def test_what_stands_at_a_bound_is_named_by_its_symbol_and_a_number_of_an_effect_by_its_name():
     space = SimpleNamespace(names=("coulomb_nm", "asymmetric_coulomb.share"), low=np.zeros(2), high=np.ones(2))
     solution = SimpleNamespace(converged=True, values=np.array([0.0, 1.0]))
-    said = _warnings(None, solution, space, None)
+    said = _warnings(solution, space, None)
     assert [text.split(" stands at a bound")[0] for text in said] == ["Fc", "asymmetric_coulomb.share"]

@@ -94,15 +94,14 @@ def along_into(table: EffectTable, motion: Floats, load_nm: Floats, sensor_rev: 
 
 
 def effects_along(
-    terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, facts: AxisFacts | None = None,
-    feedforward: bool = False,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    terms: Sequence[Term], motion: Floats, axis: AxisConfig, period_s: float, feedforward: bool = False
+) -> tuple[Floats, Floats]:
     """(torque of the effects (n,) Nm, error of the sensor (n,) rev) along a followed record.
 
     `motion` (n, slots.N_MOTION), columns as numbered in `slots`. The same kernels as in a simulation, from rest; with
     `feedforward` the current of the motion is that without the effects.
     """
-    table = effect_table(terms, axis, period_s, facts, feedforward)
+    table = effect_table(terms, axis, period_s, feedforward=feedforward)
     table.signals[s.AT_INSTANTS] = 1.0
     load_nm, sensor_rev = np.empty(motion.shape[0]), np.empty(motion.shape[0])
     along_into(table, np.ascontiguousarray(motion, dtype=np.float64), load_nm, sensor_rev)
