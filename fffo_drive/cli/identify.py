@@ -20,10 +20,11 @@ from typing import Any
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
 from ..identification.dataset import load_records
+from ..identification.results import INERTIA
 from ..model.parameters import write_model
-from ..report.identify import IdentifySource, identify_report
+from ..report.identify import IdentifySource, identify_report, tune_command
 from ..report.page import refuse_other_report, write_report
-from ..units import text_on
+from ..units import inertia_kg_m2, text_on
 from ..workflows.identify import identify
 from ..workflows.recorded_facts import facts_for
 from .prior import add_prior_arguments, prior_lines, prior_of
@@ -85,6 +86,7 @@ def execute(options: argparse.Namespace) -> int:
             print("\n".join(cyclic_lines(found.cyclic)))
         print(out / MODEL_NAME)
         print(paths.page)
+        print(f"next: {tune_command(source)}")
     return 0
 
 
@@ -92,8 +94,11 @@ def _print(result: dict[str, Any]) -> None:
     for row in result["parameters"]:
         if not row["fitted"]:
             continue
-        sd = "at a bound" if row["sd"] is None else f"{row['sd']:.2g}"
-        print(f"{row['symbol']:>10} {row['value']:>12.5g} +- {sd:<10} {row['unit']}")
+        scale, unit = 1.0, row["unit"]
+        if row["name"] == INERTIA and result["units"] == "rotary":  # as the model file and the page have it
+            scale, unit = inertia_kg_m2(1.0), "kg m2"
+        sd = "at a bound" if row["sd"] is None else f"{scale * row['sd']:.2g}"
+        print(f"{row['symbol']:>10} {scale * row['value']:>12.5g} +- {sd:<10} {unit}")
     for effect in result["effects"]:
         print(effect_line(effect))
     if result["sensor_delay_s"] is not None:
@@ -102,11 +107,12 @@ def _print(result: dict[str, Any]) -> None:
         print(
             f"velocity is {1e3 * result['sensor_delay_s']:.4g}{spread} ms behind the position; Td above is without it"
         )
-    torque = text_on("torque", result["units"] == "linear")
+    torque, torque_unit, speed_unit = (text_on(word, result["units"] == "linear") for word in ("torque", "Nm", "rps"))
     for name, run in result["residuals"].items():
         print(
-            f"{name}: {torque} residual {run['torque_rms_nm']:.3g} ({run['torque_relative_percent']:.2f} %), velocity "
-            f"{run['velocity_rms_rps']:.3g} over {run['velocity_window_s']:g} s"
+            f"{name}: {torque} residual {run['torque_rms_nm']:.3g} {torque_unit} "
+            f"({run['torque_relative_percent']:.2f} %), velocity {run['velocity_rms_rps']:.3g} {speed_unit} over "
+            f"{run['velocity_window_s']:g} s"
         )
     for doubt in result["doubts"]:
         print(f"not determined: {doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}")

@@ -22,10 +22,10 @@ from ..config.commissioning import commissioned_delay_s
 from ..config.drive_profile import profile_path, shipped_profiles
 from ..control.stability import linear_axis
 from ..documents import DocumentError, parse, read_text
-from ..identification.tuning import Design, Wish
+from ..identification.tuning import Wish
 from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
-from ..report.tune import TuneSource, tune_report
+from ..report.tune import TuneSource, range_text, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
 from ..workflows.tune import require_positive, tune
@@ -104,7 +104,8 @@ def execute(options: argparse.Namespace) -> int:
         written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands)
-    page = tune_report(source, Tuning(tuned.axis, found, wish, model.friction_config()), result)
+    tuning = Tuning(tuned.axis, found, wish, model.friction_config())
+    page = tune_report(source, tuning, result)
     paths = write_report(page, out)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
@@ -114,7 +115,7 @@ def execute(options: argparse.Namespace) -> int:
         shown = {key: result[key] for key in result if key not in ("root_locus", "step")}
         print(json.dumps(shown | {"report": str(paths.page)}, indent=2))
     else:
-        _print(found, model.units == "linear")
+        _print(tuning, model.units == "linear")
         for path in (*written, paths.page):
             print(path)
     return 0
@@ -156,14 +157,15 @@ def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -
     return target
 
 
-def _print(found: Design, linear: bool) -> None:
-    for line in _lines(found):
+def _print(tuning: Tuning, linear: bool) -> None:
+    for line in _lines(tuning):
         print(text_on(line, linear))
-    for warning in found.warnings:
+    for warning in tuning.design.warnings:
         print(f"warning: {text_on(warning, linear)}", file=sys.stderr)
 
 
-def _lines(found: Design) -> list[str]:
+def _lines(tuning: Tuning) -> list[str]:
+    found = tuning.design
     g = found.gains
     at_rest = f"at rest, {100.0 * g.rest_share:.3g} % of Kp and Ki, hold {g.hold_a_per_rev_s:.4g} A/rev/s"
     margins = [
@@ -180,7 +182,8 @@ def _lines(found: Design) -> list[str]:
         *margins,
         f"(14): Ki Kt + L - 2 B = {found.condition_14_nm_per_rev:.3g} Nm/rev; "
         f"real poles from Kp {found.real_poles_from_a_per_rps:.3g} A/rps",
-        f"step: overshoot {found.overshoot_percent:.1f} %, settled in {1e3 * found.settled_s:.0f} ms",
-        f"friction damping may vary {found.without_overshoot.ratio:.3g}:1 with real poles, "
-        f"{found.within_margins.ratio:.3g}:1 within the margins",
+        f"step: overshoot {found.overshoot_percent:.1f} %, at worst {tuning.worst_overshoot_percent:.1f} % with the "
+        f"observer, settled in {1e3 * found.settled_s:.0f} ms",
+        f"friction damping may vary {range_text(found.without_overshoot)} with real poles, "
+        f"{range_text(found.within_margins)} within the margins",
     ]

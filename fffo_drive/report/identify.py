@@ -125,7 +125,7 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
         text = "Do not tune with this model: record the motion that determines the rest, and identify again."
         lines.append(Line(label="Next", text=text))
     else:
-        lines.append(Line(label="Next", text="Choose gains for this model:", command=_tune_command(source)))
+        lines.append(Line(label="Next", text="Choose gains for this model:", command=tune_command(source)))
     return Verdict(
         headline=headline,
         finding="a model with a large residual" if worst > LARGE_RESIDUAL_PERCENT else "a model of the axis",
@@ -151,7 +151,8 @@ def _known(results: dict[str, Any], doubted: Sequence[str]) -> str:
     return ", ".join(known) + "."
 
 
-def _tune_command(source: IdentifySource) -> str:
+def tune_command(source: IdentifySource) -> str:
+    """What to type next."""
     return shlex.join(["fffo-drive", "tune", str(source.model_file), "--out", str(source.model_file.parent / "tune")])
 
 
@@ -437,7 +438,7 @@ def _next_steps(source: IdentifySource) -> Listing:
     model = source.model_file
     return Listing(
         name="next", title="What to do with it", note="A controller uses the model file.",
-        text=f"{_tune_command(source)}   # gains and margins for this model\n"
+        text=f"{tune_command(source)}   # gains and margins for this model\n"
              f"fffo-drive config check AXIS.yaml   # after `model: {model.name}` in the axis file",
     )  # fmt: skip
 

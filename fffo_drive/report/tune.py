@@ -32,7 +32,7 @@ from .document import (
 )
 from .tune_figures import Tuning
 
-LARGEST_RATIO = 1e4  # of damping; beyond it only "over ..." is printed
+LARGEST_RATIO = 1e4  # of damping; from it on only "... or more" is printed
 
 
 class TuneSource(NamedTuple):
@@ -90,8 +90,8 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         "Do not run the loop with these gains."
         if unstable
         else f"Poles are real from Kp {significant(bound)} A/rps{share}. {_condition_14(design)}",
-        f"The friction damping may vary {_ratio(design.without_overshoot)} with real poles, "
-        f"{_ratio(design.within_margins)} within the margins.",
+        f"The friction damping may vary {range_text(design.without_overshoot)} with real poles, "
+        f"{range_text(design.within_margins)} within the margins.",
     ]
     cautions = [sentence(text) for text in design.warnings]
     lines = [
@@ -137,9 +137,10 @@ def _condition_14(design: Design) -> str:
     )
 
 
-def _ratio(damping: DampingRange) -> str:
-    if damping.ratio > LARGEST_RATIO:
-        return f"over {LARGEST_RATIO:g} : 1"
+def range_text(damping: DampingRange) -> str:
+    """By how much the friction damping may vary, for the page and the terminal."""
+    if damping.ratio > 0.999 * LARGEST_RATIO:  # the end of the range that is searched
+        return f"{LARGEST_RATIO:g} : 1 or more"
     return f"{significant(damping.ratio, 2)} : 1"
 
 
@@ -254,7 +255,7 @@ def _checks(tuning: Tuning, model: ModelFile) -> Table:
 
 def _range_rows(label: str, damping: DampingRange, meaning: str) -> list[Row]:
     interval = f"{significant(damping.lowest)} to {significant(damping.highest)}"
-    wide = _ratio(damping)
+    wide = range_text(damping)
     ratio = damping.ratio if math.isfinite(damping.ratio) else None
     return [
         Row(

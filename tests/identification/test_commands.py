@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from identification.rig import TABLE_1
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record
 from identification.test_dataset import write_csv
 
+from fffo_drive.cli import identify as cli_identify
 from fffo_drive.cli import main
 from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import read_record, write_record
@@ -48,6 +50,11 @@ def test_identify_writes_a_model_and_a_report(tmp_path, drive, capsys):
     assert content["kind"] == "identify"
     assert content["results"]["residuals"]["run"]["torque_relative_percent"] < 2.0
     assert content["results"]["parameters"] == printed["parameters"]
+    cli_identify._print(content["results"])
+    j, *_ = capsys.readouterr().out.splitlines()
+    assert j.split()[0] == "J"
+    assert float(j.split()[1]) == pytest.approx(model.inertia_kg_m2.value, rel=1e-3)
+    assert j.endswith("kg m2")
 
 
 def test_identify_refuses_what_cannot_be_fitted(tmp_path, drive, capsys):
@@ -83,6 +90,11 @@ def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     model = read_model(tmp_path / written.model)
     assert law_problems(written, model, True) == law_problems(written, model, False) == []
     result = json.loads((tmp_path / "report.json").read_text())["results"]
+    assert main(["tune", str(TABLE_1), "--out", str(tmp_path), "--axis", str(axis)]) == 0
+    page, printed = (tmp_path / "report.html").read_text(), capsys.readouterr().out.splitlines()
+    (said,) = (line for line in printed if line.startswith("friction damping"))
+    assert f"The {said}." in page
+    assert re.search(r"step: overshoot [\d.]+ %, at worst [\d.]+ % with the observer, settled in", "\n".join(printed))
     assert len(result["root_locus"]) > 50
     assert result["condition_14_nm_per_rev"] >= 0.0
 

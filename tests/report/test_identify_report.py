@@ -21,7 +21,7 @@ from fffo_drive.identification.results import model_file, report
 from fffo_drive.model.friction import steady_friction_nm
 from fffo_drive.model.parameters import write_model
 from fffo_drive.report.document import ReportFile, interval_text
-from fffo_drive.report.identify import IdentifySource, _tune_command, identify_report, words_of
+from fffo_drive.report.identify import IdentifySource, identify_report, tune_command, words_of
 from fffo_drive.report.identify_figures import IdentifyWords, free_velocities, friction_band, over_speed_figure
 from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.response_figures import harmonic_damping
@@ -101,7 +101,7 @@ def test_page_and_json_tell_the_same_numbers(made, page, tmp_path):
 
 
 def test_the_next_command_can_be_typed_though_the_directory_has_a_blank():
-    command = _tune_command(IdentifySource("a", FACTS, None, Path("my fit/model.yaml")))
+    command = tune_command(IdentifySource("a", FACTS, None, Path("my fit/model.yaml")))
     assert shlex.split(command) == ["fffo-drive", "tune", "my fit/model.yaml", "--out", "my fit/tune"]
 
 
