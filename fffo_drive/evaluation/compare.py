@@ -37,7 +37,8 @@ def mean_interval(values: Floats) -> SeedInterval:
     half = float(student_t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
     if values.min() > 0.0:
         return SeedInterval(mean, mean * math.exp(-half / mean), mean * math.exp(half / mean))
-    return SeedInterval(mean, mean - half, mean + half)
+    low = max(0.0, mean - half) if values.min() == 0.0 else mean - half  # a count of events, say
+    return SeedInterval(mean, low, mean + half)
 
 
 def ratio_interval(values: Floats, others: Floats) -> SeedInterval:

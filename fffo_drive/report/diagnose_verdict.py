@@ -62,7 +62,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     law = law_of(lead.name)
     # only a law with a name has a usual cause
     cause = "" if law.name == "lookup" or lead.alternatives else f" Usually: {law.cause}."
-    step, next_line = _next(lead, model_path)
+    step, next_line = _next(lead, model_path, held_out=diagnosis.before is not None)
     return Verdict(
         headline=words.text(f"The model lacks: {plain_name(lead)}{more}.{cause}"),
         finding=f"{len(shown)} effects" if len(shown) > 1 else words.text(plain_name(lead)),
@@ -128,7 +128,7 @@ def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
     return f"Probable: {chance}; the held-out runs do not confirm it clearly."
 
 
-def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
+def _next(lead: Finding, model_path: str, held_out: bool) -> tuple[str, Line]:
     law = law_of(lead.name)
     if lead.alternatives:
         return "decide between them", Line(
@@ -136,6 +136,10 @@ def _next(lead: Finding, model_path: str) -> tuple[str, Line]:
             command=f"fffo-drive run AXIS.yaml --decide {lead.name}",
         )  # fmt: skip
     remedy = f"{_capital(law.remedy)}."
+    if lead.compensable and not held_out:  # `adopt` would refuse the model
+        return "hold a run out", Line(
+            label="Next", text=f"{remedy} To adopt the model, diagnose again with a run held out (--held-out)."
+        )
     if lead.compensable and model_path:
         return "adopt it", Line(
             label="Next", text=remedy, command=f"fffo-drive adopt {shlex.quote(as_typed(model_path))} --axis AXIS.yaml"

@@ -98,13 +98,17 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     lines = [_size(summary, kind, best)]
     if len(ranking) > 1:
         lines.append(_surety(summary, kind, best, ranking[1]))
-    one_seed = len(summary.seeds) < 2
-    text = "Run several seeds, or record several runs of each: a single one shows no scatter." if one_seed else (
-        f"Put `toggle` and gains of {best} into the axis file, and try it with `fffo-drive run`."
-    )  # fmt: skip
+    confidence = _confidence(summary, kind, ranking)
+    more = len(summary.seeds) < 2 or confidence == "cannot tell"
+    if len(summary.seeds) < 2:
+        text = "Run several seeds, or record several runs of each: a single one shows no scatter."
+    elif confidence == "cannot tell":
+        text = f"Run more seeds, or record more runs: these do not decide between {best} and {ranking[1]}."
+    else:
+        text = f"Put `toggle` and gains of {best} into the axis file, and try it with `fffo-drive run`."
     return Verdict(
         headline=headline, finding=f"{best} is best" if len(ranking) > 1 else best,
-        confidence=_confidence(summary, kind, ranking), next_step="run more seeds" if one_seed else "use it",
+        confidence=confidence, next_step="run more seeds" if more else "use it",
         lines=[*lines, Line(label="Next", text=text)], reasons=[order], cautions=cautions,
     )  # fmt: skip
 

@@ -29,6 +29,7 @@ def test_what_cannot_be_negative_has_no_interval_below_zero():
     near = mean_interval(few + 10.0)  # where the scatter is small it is Student's
     assert near.value - near.low == pytest.approx(near.high - near.value, rel=0.01)
     assert mean_interval(few - 0.01).low < 0.0
+    assert mean_interval(np.array([0.0, 6.0, 0.0])).low == 0.0  # reversals missed, by seed
 
 
 def test_a_common_factor_of_paired_runs_leaves_the_ratio_alone():

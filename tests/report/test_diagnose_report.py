@@ -137,6 +137,9 @@ def test_a_certain_finding_is_reported_with_cause_place_size_and_the_command_tha
     mended = diagnosis_report(SOURCE, diagnosis(findings=(replace(sure, name="backlash", compensable=False),))).verdict
     assert (mended.next_step, mended.lines[-1].command) == ("fix it on the machine", "")
     assert "coupling" in mended.lines[-1].text
+    alone = diagnosis_report(SOURCE, diagnosis(findings=(sure,), before=None, after=None)).verdict
+    assert (alone.next_step, alone.lines[-1].command) == ("hold a run out", "")  # `adopt` would refuse the model
+    assert "--held-out" in alone.lines[-1].text
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,10 @@ def rows_of(kept, error_rps):
     return rows
 
 
-def run(name, kept, error_rps):
-    return evaluation_of(name, 1, trace_of(rows_of(kept, error_rps), PERIOD_S), YARDSTICK, WINDOWS_S)
+def run(name, kept, error_rps, seed=1):
+    return evaluation_of(
+        name, seed, trace_of(rows_of(kept, error_rps), PERIOD_S), YARDSTICK, WINDOWS_S if seed == 1 else ()
+    )
 
 
 def report_of(*runs):
@@ -82,3 +84,15 @@ def test_a_recording_that_stops_before_its_profile_does_is_named(monkeypatch):
     _, evaluations, cautions = evaluate_live.evaluate_recordings(["early", "whole"], None)
     assert cautions == ["early: it ended after 50 % of its profile."]
     assert [e.candidate for e in evaluations] == ["early", "whole"]
+
+
+def test_seeds_that_do_not_decide_between_the_best_two_ask_for_more_seeds():
+    def verdict_of(best_rps):
+        errors = {"pi": (0.010, 0.014, 0.012), "pi+fffo": best_rps}
+        runs = [run(name, range(SAMPLES), rps, k) for name, own in errors.items() for k, rps in enumerate(own, 1)]
+        return report_of(*runs).verdict
+
+    open_ = verdict_of((0.012, 0.011, 0.0125))
+    assert (open_.confidence, open_.next_step) == ("cannot tell", "run more seeds")
+    assert "do not decide between" in open_.lines[-1].text
+    assert verdict_of((0.002, 0.003, 0.002)).next_step == "use it"
