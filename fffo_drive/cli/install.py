@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    root = Path(options.root)
+    root = Path(options.root).absolute()  # as groupdel needs it
     problem = _hindrance(root, options)
     if problem:
         print(f"fffo-drive install: {problem}", file=sys.stderr)

@@ -158,6 +158,14 @@ def test_another_root_is_no_reason_to_talk_to_this_systemd(tmp_path, monkeypatch
     assert [command.words[0] for command in after_install(Path("/"))] == ["systemd-sysusers", "systemctl"]
 
 
+def test_a_relative_root_is_made_absolute_for_the_system_programs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("image").mkdir()
+    printed = install(Path("image"))["commands"]
+    assert printed
+    assert all(str(tmp_path / "image") in command["command"] for command in printed)
+
+
 @pytest.mark.slow
 def test_the_wheel_brings_all_files(site, tmp_path):
     """The wheel installs the same files as the source tree."""
