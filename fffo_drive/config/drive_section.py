@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..documents import StrictRecord
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
 from ..drive.canopen.object_map import (
+    CURRENT,
     STANDARD_SLOTS,
     TARGET_TORQUE,
     TORQUE,
+    TORQUE_OFFSET,
+    VENDOR_OBJECTS,
     MappedObject,
     PdoSlots,
 )
@@ -83,6 +86,7 @@ class SdoWriteSection(StrictRecord):
 class TargetSection(StrictRecord):
     """The object that carries the command with each SYNC."""
 
+    standard: ClassVar[tuple[int, ...]] = (TARGET_TORQUE, TORQUE_OFFSET)  # what holds it in CiA 402
     object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, such as 0x6071")] = TARGET_TORQUE
     sub: Annotated[int, Field(ge=0, le=0xFF, description="sub-index")] = 0
     bits: Annotated[Literal[16, 32], Field(description="size of the object, signed")] = 16
@@ -91,10 +95,20 @@ class TargetSection(StrictRecord):
         Field(gt=0, description="units per ampere of torque-forming current; null: per mille of the rated torque"),
     ] = None
 
+    @field_validator("object")
+    @classmethod
+    def _holds_torque(cls, index: int) -> int:
+        if index not in VENDOR_OBJECTS and index not in cls.standard:
+            known = " or ".join(f"0x{known:04X}" for known in cls.standard)
+            vendors = "a vendor's object of torque or current, 0x2000 to 0x5FFF"
+            raise ValueError(f"0x{index:04X} is neither the drive's torque here ({known}) nor {vendors}")
+        return index
+
 
 class TorqueFeedbackSection(TargetSection):
     """The object that reports the actual torque or current."""
 
+    standard: ClassVar[tuple[int, ...]] = (TORQUE, CURRENT)
     object: Annotated[int, Field(ge=0x2000, le=0xFFFF, description="index, such as 0x6077")] = TORQUE
 
 

@@ -70,12 +70,14 @@ class ScriptedNode:
 
     refuse: (index, sub) -> abort code of writes; keep: (index, sub) -> bytes read back whatever was written;
     mute: no SDO answers; boots: boot-up messages after a reset; starts: reports operational after NMT start;
-    beats: a heartbeat after every frame it hears.
+    beats: a heartbeat after every frame it hears; filler: the byte behind a value in expedited answers, which then do
+    not tell their size.
     """
 
     def __init__(
-        self, bus, node_id, objects=None, *, refuse=None, keep=None, mute=False, boots=1, starts=True, beats=False
-    ):
+        self, bus, node_id, objects=None, *, refuse=None, keep=None, mute=False, boots=1, starts=True, beats=False,
+        filler=None,
+    ):  # fmt: skip
         self.link = open_link(bus)
         self.node_id = node_id
         self.objects = dict(servo_dictionary(node_id) if objects is None else objects)
@@ -83,6 +85,7 @@ class ScriptedNode:
         self.refuse, self.keep = refuse or {}, keep or {}
         self.shows_mode = True  # in 0x6061, at once
         self.mute, self.boots, self.starts, self.beats = mute, boots, starts, beats
+        self.filler = filler
         self.written = []  # (index, sub, bytes) in order
         self.commands = []  # NMT
         self.heard = []  # every frame
@@ -160,7 +163,9 @@ class ScriptedNode:
                 self._abort(where, NO_SUB if known else NO_OBJECT)
                 return
             value = self.keep.get((index, sub), self.objects[index, sub])
-            if 1 <= len(value) <= 4:
+            if 1 <= len(value) <= 4 and self.filler is not None:
+                self._answer(b"\x42" + where, value.ljust(4, self.filler))
+            elif 1 <= len(value) <= 4:
                 self._answer(bytes([0x43 | (4 - len(value)) << 2]) + where, value)
             else:
                 self._upload = value

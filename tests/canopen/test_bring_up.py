@@ -12,7 +12,7 @@ from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
-from fffo_drive.drive.canopen.object_map import PdoSlots, feedback_pdos
+from fffo_drive.drive.canopen.object_map import MappedObject, PdoSlots, feedback_pdos
 from fffo_drive.drive.canopen.sdo_writes import SdoWrite
 from fffo_drive.drive.canopen.service import Service, service_filters
 from fffo_drive.drive.canopen.service_queue import ServiceQueue
@@ -286,6 +286,23 @@ def test_a_mode_display_in_more_bytes_is_the_same_mode(config, mode, raw):
     config = dataclasses.replace(config, mode=mode, modes_listed=False, start_timeout_s=0.3)
     with ScriptedNode(config.bus, NODE, keep={(0x6061, 0): bytes.fromhex(raw)}), CanopenDrive(config) as drive:
         assert drive.identity.vendor_id == 0x11
+
+
+def test_what_stands_behind_a_value_whose_size_is_not_told_has_no_meaning(config):
+    """CiA 301 7.2.4.3.6: an expedited answer with s = 0 leaves it to the object how many of the four bytes count."""
+
+    class FixedCount(ScriptedNode):
+        def keeps_count(self, index):
+            return index == 0x1600
+
+    objects = servo_dictionary(NODE) | {(0x2100, 0): bytes(2), (0x1600, 0): b"\x02"}
+    config = dataclasses.replace(config, target=MappedObject(0x2100, 0, 16), target_units_per_a=100.0)
+    with (
+        FixedCount(config.bus, NODE, objects, refuse={(0x1600, 0): READ_ONLY}, filler=b"\xa5") as node,
+        CanopenDrive(config) as drive,
+    ):
+        assert drive.identity == (0x11, 0x22, 0x33, 0x44, "a drive with a long name", "v1.2")
+        assert not [value for index, _, value in node.written if index == 0x1019]  # no counter: nothing to switch off
 
 
 @pytest.mark.parametrize(

@@ -149,6 +149,11 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
     [
         ({"target": {"object": 0x201C}}, "target.units_per_a: 0x201C has its own units"),
         ({"torque_feedback": {"object": 0x207E}}, "torque_feedback.units_per_a: 0x207E"),
+        ({"torque_feedback": {"object": 0x606C}}, r":\d+: drive.torque_feedback.object: 0x606C is neither the drive's"),
+        ({"torque_feedback": {"object": 0x6071}}, r"0x6071 is neither the drive's torque here \(0x6077 or 0x6078\) nor a"),
+        ({"torque_feedback": {"object": 0x6078}}, "torque_feedback.units_per_a: 0x6078"),
+        ({"target": {"object": 0x60FF}}, r"drive.target.object: 0x60FF is neither the drive's torque here \(0x6071 or 0x"),
+        ({"target": {"object": 0xA000}}, "0xA000 is neither"),
         ({"silence_detection": "vendor"}, "the objects that set it belong in sdo"),
         ({"mode": 8}, "mode 8: 10, 4, or a negative one"),
         ({"pdo": {"motion": 2}}, "motion, status and event are three TPDOs"),

@@ -24,6 +24,7 @@ from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
 from .emergency import WarningNews, asked_words, burst_text, statusword_text
 from .listening import Listening
+from .object_lengths import lengths_of
 from .object_map import CONTROLWORD, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .sdo_writes import write_phase
@@ -95,7 +96,8 @@ class CanopenDrive:
         try:
             self._refuse_other_masters()
             link = open_link(config.bus, filters=service_filters(config.node_id))
-            self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts)
+            lengths = lengths_of(self._eds, (config.target, config.torque))
+            self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts, lengths)
             identity = bring_up(self._service, config, self._check_identity)
             self._link = open_link(config.bus, filters=self._cyclic_filters())
             self._port = make_port(config, self._link, queue.memory)

@@ -21,6 +21,8 @@ CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 MODE, MODE_DISPLAY = 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, TORQUE, TORQUE_OFFSET = 0x6071, 0x6077, 0x60B2
+CURRENT = 0x6078
+VENDOR_OBJECTS = range(0x2000, 0x6000)  # of a meaning that only the vendor's manual gives
 
 # fields of the feedback that a TPDO object fills; the layout table holds these numbers
 FIELD_VELOCITY, FIELD_POSITION, FIELD_TORQUE, FIELD_STATUSWORD = range(4)

@@ -25,6 +25,7 @@ from ...can.bpf import CanFilter
 from ...can.frame import Frame, pack_frame, unpack_frame
 from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveRefusedError
+from .object_lengths import LengthOf, standard_length
 from .service_queue import ServiceQueue
 
 NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x80, 0x82
@@ -70,6 +71,13 @@ _NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 class _Client(SdoClient):
     """The library's client, without its own log message on a timeout, which is raised as an error here."""
 
+    length_of: LengthOf = staticmethod(standard_length)
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
+            told, data = stream.size is not None, bytes(stream.read())
+        return data if told else data[: self.length_of(index, subindex)]
+
     def abort(self, abort_code: int = 0x08000000) -> None:
         self.send_request(bytes([SDO_ABORT, 0, 0, 0]) + abort_code.to_bytes(4, "little"))  # type: ignore[no-untyped-call]
 
@@ -88,7 +96,11 @@ def service_filters(node_id: int) -> list[CanFilter]:
 class Service:
     """Service traffic with one node; a thread reads the link until `close`."""
 
-    def __init__(self, link: Link, node_id: int, queue: ServiceQueue, answer_timeout_s: float, attempts: int) -> None:
+    def __init__(
+        self, link: Link, node_id: int, queue: ServiceQueue, answer_timeout_s: float, attempts: int,
+        length_of: LengthOf = standard_length,
+    ) -> None:  # fmt: skip
+        """`length_of`: of objects whose size an answer does not tell."""
         self.link, self.node_id, self.queue = link, node_id, queue
         self.boot_ups = 0  # messages since the last `forget`
         self.nmt_state = -1
@@ -107,6 +119,7 @@ class Service:
         self._client = client_type(can.SDO_REQUEST + node_id, can.SDO_RESPONSE + node_id, _NO_OBJECTS)
         self._client.network = self
         self._client.RESPONSE_TIMEOUT = answer_timeout_s
+        self._client.length_of = length_of
         self._thread = threading.Thread(target=self._read, name=f"canopen-{node_id}", daemon=True)
         self._thread.start()
 
