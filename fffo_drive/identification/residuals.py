@@ -169,7 +169,12 @@ def effective_samples(values: Floats, longest_lag: int = LONGEST_LAG) -> tuple[f
 
 
 def whiteness(values: Floats) -> dict[str, float]:
-    """Ljung-Box statistic over 20 lags with its p-value, lag-1 correlation, and the effective number of samples."""
+    """Ljung-Box statistic over 20 lags with its p-value, lag-1 correlation, and the effective number of samples.
+
+    Empty where nothing can be said: values that are all the same have no correlation.
+    """
+    if np.ptp(values) == 0.0:
+        return {}
     count, correlation = effective_samples(values)
     n, lags = values.size, min(20, correlation.size - 1)
     k = np.arange(1, lags + 1)
@@ -239,6 +244,7 @@ def _summary(run: RunResidual) -> dict[str, Any]:
     step = sampling_step(run.record.period_s)
     r = found.residual_nm[found.kept]
     forward = found.velocity_rps > 0.0
+    shaped = r.size > 10 and np.ptp(r) > 0.0
     return {
         "torque_rms_nm": _rms(r),
         "torque_relative_percent": 100.0 * _rms(r) / max(1e-300, _rms(found.torque_nm[found.kept])),
@@ -248,8 +254,8 @@ def _summary(run: RunResidual) -> dict[str, Any]:
         "velocity_window_s": WINDOW_S,
         "windows": int(errors.shape[0]),
         "histogram": _histogram(r),
-        "skewness": float(stats.skew(r)) if r.size > 10 else 0.0,
-        "excess_kurtosis": float(stats.kurtosis(r)) if r.size > 10 else 0.0,
+        "skewness": float(stats.skew(r)) if shaped else 0.0,
+        "excess_kurtosis": float(stats.kurtosis(r)) if shaped else 0.0,
         "whiteness": whiteness(r[::step]) if r.size > 50 * step else {},
         "dependence": [d._asdict() for d in dependences(found, step)],
         "by_regime": {

@@ -376,7 +376,7 @@ def _dependence(results: dict[str, Any], words: IdentifyWords) -> Table:
             value = run["skewness"] if not key else white.get(key, math.nan)
             cells += [
                 number(value) if key == "ljung_box" else _signed(value),
-                _p(white["p_value"]) if key == "ljung_box" and white else Cell(text=""),
+                Cell(text="") if key != "ljung_box" else _p(white["p_value"]) if white else Cell(text="cannot tell"),
             ]
         rows.append(Row(label=label, cells=cells))
     for label, key in (("samples", "samples"), ("in effect", "effective_samples")):

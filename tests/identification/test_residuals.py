@@ -38,6 +38,17 @@ def test_effective_samples_of_an_autoregression():
     assert whiteness(noise)["p_value"] > 1e-3
 
 
+def test_a_residual_that_does_not_vary_says_nothing_about_its_correlation():
+    assert whiteness(np.full(5000, 1e-3)) == {}
+    record = chirp_record(10.0, lsb_rev=2.0**-15)
+    (run,) = run_residuals([record], TRUTH)
+    constant = run._replace(torque=run.torque._replace(residual_nm=np.full(run.torque.residual_nm.size, 1e-3)))
+    summary = residual_summary([constant])["synthetic"]
+    assert summary["whiteness"] == {}
+    assert (summary["skewness"], summary["excess_kurtosis"]) == (0.0, 0.0)
+    json.dumps(summary, allow_nan=False)
+
+
 def test_at_the_truth_the_torque_residual_is_small_and_depends_on_nothing():
     found = torque_residual(chirp_record(20.0, lsb_rev=2.0**-15, noise_rev=1e-5), TRUTH)
     assert np.sqrt(np.mean(found.residual_nm[found.kept] ** 2)) < 3e-4

@@ -13,6 +13,7 @@ import pytest
 from identification.synthetic import PERIOD_S, TRUTH, chirp_record, record_of
 from report.test_page import LARGEST_PAGE_BYTES, outline
 
+from fffo_drive.identification import residuals
 from fffo_drive.identification.coverage import coverage_of
 from fffo_drive.identification.facts import ColumnFact, DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
@@ -98,6 +99,17 @@ def test_page_and_json_tell_the_same_numbers(made, page, tmp_path):
         assert f">{value.text}<small>{interval_text(value.low, value.high)}</small>" in page
     assert all(figure.title and figure.caption for figure in content.figures)
     assert "NaN" not in json.dumps(content.results)
+
+
+@pytest.mark.slow
+def test_a_residual_without_variation_is_said_to_tell_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(residuals, "whiteness", lambda values: {})
+    _, _, document = chirp_report(tmp_path)
+    table = next(table for table in document.tables if table.name == "dependence")
+    cells = {row.label: [cell.text for cell in row.cells] for row in table.rows}
+    assert cells["Ljung-Box, 20 lags"] == ["–", "cannot tell"]
+    assert cells["samples"] == ["–", ""]
+    assert not {"nan", "NaN"} & {text for row in cells.values() for text in row}
 
 
 def test_the_next_command_can_be_typed_though_the_directory_has_a_blank():
