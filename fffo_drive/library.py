@@ -31,6 +31,7 @@ from .documents import DocumentError, check
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary, summarise
+from .extras import needs_extra
 from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
 from .identification.facts import DriveFacts
 from .identification.facts import read_facts as read_facts
@@ -342,7 +343,7 @@ def _prior(
     try:
         from .fleet import measure, standing
     except ImportError as error:
-        raise DocumentError(f"prior: needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+        raise DocumentError(f"{error}: {needs_extra('prior', 'fleet')}") from None
     path = runs[0].path
     if path is None:  # of arrays
         who = standing.Who("", model or facts.name)

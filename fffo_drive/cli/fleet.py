@@ -9,7 +9,7 @@ fffo-drive fleet watch STORE           what changed in each drive's own history,
 fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
 fffo-drive fleet compare A B           two runs, or two periods of a drive: what differs beyond chance
 
-STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`: pip install 'fffo-drive[fleet]'.
+STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`.
 
 Exit codes: 0 done; 74 the store's disk is full or not writable; 78 bad input, or a run could not be added or diagnosed.
 """
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..documents import DocumentError, counted, did_you_mean, sentence
+from ..extras import needs_extra
 from ..identification.facts import read_facts
 from .exits import EXIT_BAD_INPUT
 from .progress import progress_bar
@@ -119,7 +120,7 @@ def execute(options: argparse.Namespace) -> int:
         import fsspec  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
-        raise DocumentError(f"fleet needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+        raise DocumentError(f"{error}: {needs_extra('fleet', 'fleet')}") from None
     return int(_ACTIONS[options.action](options))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..documents import DocumentError
+from ..extras import needs_extra
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
 
@@ -29,7 +30,7 @@ def prior_of(options: argparse.Namespace, runs: Sequence[str | Path], facts: Dri
     try:
         from ..fleet.standing import files_against_population
     except ImportError as error:
-        raise DocumentError(f"--prior needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+        raise DocumentError(f"{error}: {needs_extra('--prior', 'fleet')}") from None
     return files_against_population(options.prior, runs, facts, options.prior_model)
 
 

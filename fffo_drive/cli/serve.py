@@ -24,6 +24,7 @@ from ..daemon.places import CONTROL
 from ..daemon.service import AttachedService, Options, serve
 from ..daemon.supervisor import Supervisor
 from ..documents import DocumentError
+from ..extras import needs_extra
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +67,7 @@ def _attach(
     if scope is None and foxglove is None:
         return None
     if find_spec("websockets") is None:
-        raise DocumentError("the scope and Foxglove need the extra `live` (websockets): pip install 'fffo-drive[live]'")
+        raise DocumentError(needs_extra("serving the scope or Foxglove", "live"))
     from ..live.feed import FeedSource
     from ..live.server import LiveServer, WantedServices
 

@@ -15,6 +15,7 @@ from typing import Any
 import fsspec
 
 from ..documents import DocumentError
+from ..extras import needs_extra
 
 UNFINISHED = ".tmp"  # end of the name of a file that is being written
 FORGOTTEN_S = 86_400.0  # an unfinished file that is older belongs to nobody
@@ -33,7 +34,7 @@ def open_filesystem(place: str) -> tuple[Any, str]:
     try:
         filesystem, path = fsspec.core.url_to_fs(place, **options)
     except (ImportError, ValueError) as error:
-        raise DocumentError(f"{place}: {error}; S3 needs the extra: pip install 'fffo-drive[fleet]'") from None
+        raise DocumentError(f"{place}: {error}; {needs_extra('S3', 'fleet')}") from None
     return filesystem, path
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..extras import needs_extra
 from ..recording.errors import RecordingError
 from .source import Source
 
@@ -26,9 +27,7 @@ def read_source(path: Path | str) -> Source:
     try:
         return _read(path, begin)
     except ImportError as error:
-        raise RecordingError(
-            f"{path}: to read it, install what imports need: pip install 'fffo-drive[import]' ({error})"
-        ) from error
+        raise RecordingError(f"{path}: {error}: {needs_extra('reading it', 'import')}") from error
     except MemoryError as error:
         raise RecordingError(f"{path}: too large for the memory of this machine") from error
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..directories import own_directory, shared_place
+from ..extras import needs_extra
 
 PACKAGE = Path(__file__).resolve().parent
 SOURCES = PACKAGE / "pages"
@@ -76,10 +77,7 @@ def build(out: Path, strict: bool = True) -> Path:
         )
     missing = missing_tools()
     if missing:
-        raise ManualError(
-            f"the manual is built with Sphinx; not installed: {', '.join(missing)}: "
-            "in a clone type `tools/environment test`, elsewhere `pip install 'fffo-drive[manual]'`"
-        )
+        raise ManualError(f"not installed: {', '.join(missing)}: {needs_extra('building the manual', 'manual')}")
     from sphinx.cmd.build import main as sphinx_build
 
     from .generated import write_generated  # loads slowly

@@ -8,6 +8,7 @@ from typing import Any
 from ..commissioning.record import read_record
 from ..config.axis import beside, read_axis
 from ..documents import DocumentError
+from ..extras import needs_extra
 
 LISTED = 100  # drives and failures on the page; `fffo-drive fleet status --json` has all
 
@@ -28,7 +29,7 @@ def fleet_state(store: str, axis: Path | None) -> dict[str, Any]:
     try:
         from ..fleet.store import FleetStore, status_object
     except ImportError as error:
-        raise DocumentError(f"fleet needs the extra `fleet`: pip install 'fffo-drive[fleet]' ({error})") from None
+        raise DocumentError(f"{error}: {needs_extra('fleet', 'fleet')}") from None
     status = status_object(FleetStore(store))
     names = [row["drive"] for row in status["by_drive"]]
     own = next((name for name in _own_names(axis) if name in names), "")
