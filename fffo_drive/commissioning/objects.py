@@ -7,8 +7,6 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from ..drive.canopen.reported_units import counts_increments, reported_units
 from ..drive.port import DriveRefusedError
 
-PERMILLE = 1000.0
-
 
 @runtime_checkable
 class ObjectSource(Protocol):

@@ -25,6 +25,7 @@ from ..control.reference import Profile
 from ..drive.port import Drive, DriveError, DriveIdentity
 from ..model.parameters import ModelFile
 from ..runtime.session import SessionConfig
+from ..units import PERMILLE
 from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
 from .estimate import (
@@ -42,7 +43,7 @@ from .estimate import (
 from .judge import CHECKS, judged, not_done
 from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
-from .objects import PERMILLE, NamePlate, ObjectSource, read_name_plate, read_number
+from .objects import NamePlate, ObjectSource, read_name_plate, read_number
 from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
 from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
 

@@ -20,13 +20,12 @@ from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
 from ..drive.port import Drive, DriveIdentity
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
-from ..runtime.runs import fault_text
+from ..runtime.runs import ENABLE_TIMEOUT_S, fault_text
 from ..runtime.session import Session, SessionConfig
 from .bounds import open_loop
 from .motion import PulseMotion, motion_of
 
 ENABLE_S = 0.5  # simulated time for the way to Operation Enabled
-ENABLE_TIMEOUT_S = 5.0
 STOP_TIMEOUT_S = 5.0
 POLL_S = 0.01
 SETTLE_STEP_S = 0.1

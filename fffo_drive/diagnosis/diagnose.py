@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..identification.coordinates import LOGARITHMIC
 from ..identification.criterion import Gain
 from ..identification.dataset import DataError, Record, one_rate
 from ..identification.facts import DriveFacts
-from ..identification.fit import sensor_delay
+from ..identification.fit import Progress, sensor_delay
 from ..identification.population import AgainstPopulation
 from ..identification.ranking import ranked
 from ..identification.runs import RunsLook, look_at_runs
@@ -41,7 +41,6 @@ from .select import DiagnosisSettings as DiagnosisSettings
 from .startup import starting_data
 
 Floats = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 # mechanisms that an ablation can switch off
 MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")

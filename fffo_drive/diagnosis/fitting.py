@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..identification.criterion import HUBER, Folds, clipped, huber, levels
+from ..identification.residuals import PRESLIDING_LENGTHS
 from ..identification.threads import in_threads
 from ..model.effects import slots
 from ..model.effects.law import PER_TURN, SHAPE
@@ -51,7 +52,6 @@ STEEPEST = 5.0  # largest Fs over Fc
 LARGEST_LOG = 0.5  # largest step of the logarithm of a positive parameter
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # bounds of the speed classes of noise, in shares of the top speed
 HIDDEN = 0.1  # sd of the bias from undetectably small effects, as a share of its maximum (calibration.md)
-PRESLIDING_LENGTHS = 4.0  # presliding, a noise class of its own, ends after this many 1/K of travel
 
 
 class Data(NamedTuple):

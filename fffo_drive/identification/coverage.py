@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..units import text_on, unit_on
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, motion_of
+from .rows import LEAST_OTHER_WAY
 
 SLOW_QUANTILE = 0.1  # of the speeds of the motion: waves are seen there
 REST_SHARE = 0.005  # of the highest speed: slower is rest ...
@@ -21,7 +22,6 @@ REST_COUNTS_PER_S = 50.0  # ... and so is one count of the sensor in a twentieth
 DWELL_S = 0.1  # shorter rests are reversals
 LEAST_REVERSALS = 8
 LEAST_DWELLS = 3
-LEAST_OTHER_WAY = 0.02  # of the motion
 LEAST_LEVELS = 3  # range of speed needed to separate viscous and Coulomb friction
 SLOW_SHARE = 0.05  # of the highest speed: the Stribeck curve is below
 LEAST_SLOW_S = 1.0

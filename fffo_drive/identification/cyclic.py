@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..units import NORMAL_95, TWO_PI
+from .coverage import LEAST_TURNS
 from .criterion import folds_of
 from .dataset import DataError, Record
 
@@ -26,7 +27,6 @@ Mask = npt.NDArray[np.bool_]
 
 HIGHEST_ORDER = 64  # periods a turn
 WINDOWS_AN_ORDER = 4  # of data: each order has two numbers
-LEAST_TURNS = 1.0
 MOST_ROWS = 50_000
 ANGLE_CLASSES = 360  # of the curve over a turn
 SURE_SDS = 4.0  # of an amplitude over its standard deviation: one false order in 40 runs of 64 orders

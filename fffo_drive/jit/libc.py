@@ -15,11 +15,12 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
+from ..units import NS_PER_S
+
 _C = ctypes.CDLL(None, use_errno=True)
 
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
-NS_PER_S = 1_000_000_000
 MSG_DONTWAIT = 0x40
 POLLIN = 0x001
 EINTR = 4

@@ -12,9 +12,8 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from ..cli.exits import EXIT_UNAVAILABLE
 from .building import ManualError, build, cache_directory, find
-
-EXIT_UNAVAILABLE = 69  # as in cli/exits.py: what is needed is not installed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

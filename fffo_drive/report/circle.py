@@ -13,6 +13,7 @@ import numpy as np
 from .. import formats
 from ..evaluation.metrics import METRIC_UNITS, ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
+from .bench import STRETCH_S
 from .document import (
     Cell,
     Confidence,
@@ -32,7 +33,6 @@ from .figures import Floats
 from .intervals import ShownInterval, ratio_intervals
 
 KIND = "close-the-loop"
-STRETCH_S = 1.0
 COLUMNS = {"measured": "velocity_rps", "true": "true_velocity_rps"}
 KINDS = {"measured": "measured velocity", "true": "shaft's velocity"}
 SOUND_SHARE = 0.01

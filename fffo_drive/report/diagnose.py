@@ -37,7 +37,7 @@ from .document import (
     significant,
 )
 from .page import JSON_NAME, PAGE_NAME, ReportPaths, render_page
-from .population import population_table
+from .population import DASH, population_table
 
 KIND = "diagnose"
 WIDEST = 1e3  # half an interval over its value; beyond this the data do not determine the parameter
@@ -45,7 +45,6 @@ SHOWN_RIVALS = 4
 SHOWN_PAIRS = 6
 SHOWN_REJECTED = 15
 LISTING_WIDTH = 110
-DASH = Cell(text="–")
 NOT_FINITE = Cell(text="not finite")
 NOT_DETERMINED = Cell(text="not determined")
 GAINS = (

@@ -14,6 +14,7 @@ from ..evaluation.compare import SeedInterval, ratio_interval
 from ..evaluation.measures import Yardstick
 from ..evaluation.metrics import METRIC_UNITS, PAPER_TABLE_2
 from ..evaluation.summary import Summary, as_object
+from .bench_figures import VELOCITY
 from .document import (
     Cell,
     Confidence,
@@ -35,7 +36,6 @@ KINDS = {"measured": "measured velocity", "true": "true velocity"}
 PAPER_NAMES = {name.lower(): name for name in PAPER_TABLE_2}
 COLOURS = ("orange", "green", "blue", "purple", "grey", "ink")
 DASHES: tuple[Dash, ...] = ("solid", "dashdot", "solid", "dashed", "dotted", "solid")
-VELOCITY = PlotAxis("velocity", "rps")
 LARGEST_SKIPPED_SHARE = 0.001  # of a run's samples; above this its figures depend on the machine too
 
 

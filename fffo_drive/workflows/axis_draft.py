@@ -18,7 +18,7 @@ from ..config.drive_profile import with_profile
 from ..documents import check, parse
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..model.parameters import ModelFile
-from ..units import TWO_PI, rps_from_rpm
+from ..units import PERMILLE, TWO_PI, rps_from_rpm
 from .drive_facts import ASSUMED, Fact, SourcedFacts
 
 # assumptions about an axis before any measurement
@@ -31,7 +31,6 @@ CROSSOVER_HZ, RESET_TIME_S = 5.0, 0.2  # of the first law
 HIGHEST_SPEED_RPS = 25.0
 SPEED_SHARE, FOLLOWING_SHARE, PROFILE_SHARE = 0.8, 0.3, 0.2  # of the drive's limit; of ours
 PEAK_FACTOR = 1.5  # of the rated current, where the drive allows it
-PERMILLE = 1000.0
 HIGHEST_MASTER_ID = 127
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 from ...jit import njit
-from ..friction import torque_after
+from ..friction import PRESLIDING_OVER, torque_after
 from . import slots as s
 from .slots import Floats
 
 TURN = 2.0 * math.pi
 LEAST_LEVEL = 0.05  # smallest level of a surface, whatever an effect subtracts
 LEVEL_MEMORY = 6  # slots that surface_response keeps; over_step has another, the second after them
-PRESLIDING_OVER = 40.0  # exp(-40) is negligible
 
 
 @njit
