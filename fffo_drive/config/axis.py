@@ -43,6 +43,7 @@ from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S
 from .drive_profile import with_profile
 from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
+from .names import LONGEST_NAME, FileName
 from .sections import (
     AdaptationSection,
     ControllerSection,
@@ -82,6 +83,7 @@ class AxisFile(StrictRecord):
         str,
         Field(
             pattern=r"^[\w.-]+$",
+            max_length=LONGEST_NAME,
             description="names recordings and, outside systemd, the sockets of `serve`; letters, digits, _ . -",
         ),
     ]
@@ -89,7 +91,7 @@ class AxisFile(StrictRecord):
         SimulatedDriveSection | CanopenDriveSection,
         Field(discriminator="kind", description="the drive: on a CAN bus, or simulated in process"),
     ]
-    model: Annotated[str, Field(description="model file, relative to this file")]
+    model: Annotated[FileName, Field(description="model file, relative to this file")]
     controller: ControllerSection
     envelope: EnvelopeSection
     loop: LoopSection = LoopSection()
@@ -98,7 +100,7 @@ class AxisFile(StrictRecord):
     profile: Annotated[ProfileSection, Field(description="default motion of `run`, `ctl start` and `evaluate`")]
     daemon: DaemonSection = DaemonSection()
     commissioning: Annotated[
-        str | None,
+        FileName | None,
         Field(description="record of `fffo-drive commission`, relative to this file; a drive on a bus needs one"),
     ] = None
 

@@ -21,6 +21,7 @@ from ..documents import DocumentError, StrictRecord, accepts, load, refuse
 from ..system.service_files import sources
 from .drive_section import CanopenDriveSection, SdoWriteSection
 from .eds_fitness import Fitness, section_lines
+from .names import is_file_name
 
 OF_ONE_AXIS = frozenset({
     "kind", "bus", "bitrate_hz", "node_id", "master_id", "profile", "eds", "inverted", "rated_torque_nm",
@@ -121,10 +122,11 @@ def profile_for(vendor_id: int | None, product_code: int | None) -> tuple[str, D
 def with_profile(data: Any, axis_path: Path) -> Any:
     """A parsed axis file with the keys of the profile that it names. Raises DocumentError."""
     section = data.get("drive") if isinstance(data, Mapping) else None
-    if not isinstance(section, Mapping) or not isinstance(section.get("profile"), str):
-        return data
+    name = section.get("profile") if isinstance(section, Mapping) else None
+    if not isinstance(section, Mapping) or not isinstance(name, str) or not is_file_name(name):
+        return data  # what it has instead is refused with the other keys
     try:
-        path = profile_path(axis_path, section["profile"])
+        path = profile_path(axis_path, name)
     except DocumentError as error:  # with the line of the key
         refuse(axis_path, [("drive.profile", str(error).partition("drive.profile: ")[2])])
         raise

@@ -28,6 +28,7 @@ from ..drive.cia402 import (
     STATUS_REMOTE,
 )
 from ..units import counts_per_rev
+from .names import FileName
 
 DEFAULT_RESOLVER_BITS = 15
 RATED_TORQUE_UNITS = {"mNm": 1e-3, "uNm": 1e-6}  # Nm for one of 0x6076
@@ -42,7 +43,7 @@ class SimulatedDriveSection(StrictRecord):
     """The simulated drive, in process: faster than real time, and the same run for the same seed."""
 
     kind: Annotated[Literal["simulated"], DRIVE_KIND]
-    file: Annotated[str, Field(description="file of the simulated drive, relative to this file")]
+    file: Annotated[FileName, Field(description="file of the simulated drive, relative to this file")]
     enable_delay_s: ClassVar[float] = 0.0  # it has no brake, and sets every bit
     served_status_bits: ClassVar[int] = STATUS_REMOTE | STATUS_FOLLOWS_COMMAND
 
@@ -195,7 +196,7 @@ class CanopenDriveSection(StrictRecord):
         Field(ge=0, le=10, description="from Operation Enabled to the start of the law, for a holding brake to open"),
     ] = 0.0
     profile: Annotated[
-        str | None,
+        FileName | None,
         Field(
             description="profile of the drive's family: a name listed by "
             "`fffo-drive config drives`, or a file relative "
@@ -243,7 +244,7 @@ class CanopenDriveSection(StrictRecord):
     highest_rate_hz: Annotated[
         int | None, Field(ge=1, description="highest rate at which the drive accepts commands; null: not known")
     ] = None
-    eds: Annotated[str | None, Field(description="EDS of the drive, relative to this file")] = None
+    eds: Annotated[FileName | None, Field(description="EDS of the drive, relative to this file")] = None
     listen_s: Annotated[
         float, Field(ge=0.1, le=10, description="time of listening on the bus before anything is sent")
     ] = LISTEN_S

@@ -29,6 +29,7 @@ from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, m
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
+from .names import LONGEST_NAME, FileName
 from .sections import (
     AdaptationSection,
     ControllerSection,
@@ -108,13 +109,20 @@ class ScenarioFile(StrictRecord):
     """A comparison."""
 
     format: Annotated[str, formats.SCENARIO.key] = formats.SCENARIO.word
-    name: Annotated[str, Field(pattern=r"^[\w.-]+$", description="title of the report; letters, digits, _ . -")]
-    axis: Annotated[str, Field(description="axis file, relative to this file")]
+    name: Annotated[
+        str,
+        Field(
+            pattern=r"^[\w.-]+$",
+            max_length=LONGEST_NAME,
+            description="title of the report; letters, digits, _ . -",
+        ),
+    ]
+    axis: Annotated[FileName, Field(description="axis file, relative to this file")]
     seeds: Annotated[int, Field(ge=1, le=100_000, description="runs of each controller")] = 10
     first_seed: Annotated[int, Field(ge=0, le=2**30, description="first seed of noise, phases and signs")] = 1
     reference: Annotated[ProfileSection | None, Field(description="null: as in the axis file")] = None
     vary_phases: Annotated[bool, Field(description="the phases of a multi-sine differ between seeds")] = True
-    drive: Annotated[str | None, Field(description="file of the simulated drive; null: the axis file's")] = None
+    drive: Annotated[FileName | None, Field(description="file of the simulated drive; null: the axis file's")] = None
     plant: Annotated[
         dict[str, Any], Field(description="keys of the plant that differ: friction, effects, noise, delay")
     ] = Field(default_factory=dict)

@@ -9,6 +9,7 @@ from pydantic import Field, Strict, field_validator, model_validator
 
 from ..documents import StrictRecord
 from .address import Listen
+from .names import FileName
 
 Rps = Annotated[float, Field(gt=0, le=1000)]
 Amperes = Annotated[float, Field(gt=0, le=1000)]
@@ -287,7 +288,7 @@ Bytes = Annotated[int, Field(ge=1_000_000, le=1 << 50)]
 class RecordingSection(StrictRecord):
     """Where runs are recorded, the size of the files, and how much is kept."""
 
-    directory: Annotated[str, Field(description="where recordings are written")] = "runs"
+    directory: Annotated[FileName, Field(description="where recordings are written")] = "runs"
     compression: Annotated[Literal["zstd", "none"], Field(description="compression of the chunks")] = "zstd"
     flush_interval_s: Annotated[float, Field(ge=0.05, le=60, description="largest loss if the process is killed")] = 1.0
     fsync_interval_s: Annotated[

@@ -152,6 +152,7 @@ def without(*names: str) -> Callable[[Files], None]:
 
 OTHER_DRIVE = replace(NodeConfig(), identity=replace(Identity(), product_code=0x1234))
 FEW_OBJECTS = eds_text(NodeConfig()).replace("[606C]", "[2F6C]").replace("=0x606C", "=0x2F6C")
+LONG = "p" * 300
 QUICK = drive_key("start_timeout_s: 0.1")
 
 
@@ -292,6 +293,18 @@ CASES = (
         (rf"{MODEL}:\d+: format: fffo_drive/model/1 where fffo_drive/axis/1 is needed",),
     ),
     Case("text that is no YAML", RUN, 78, (rf"{AXIS}:\d+: not valid YAML",), added(AXIS, "recording: [\n")),
+    Case(
+        "a name too long for its recordings", RUN, 78, (rf"{AXIS}:\d+: name: at most 64 characters are allowed",),
+        changed(AXIS, "name: bench", f"name: {LONG}"),
+    ),
+    Case(
+        "a model whose name no file may have", RUN, 78, (rf"{AXIS}:\d+: model: no file may have this name: at most",),
+        changed(AXIS, f"model: {MODEL}", f"model: {LONG}"),
+    ),
+    Case(
+        "a drive profile whose name no file may have", RUN_ON_BUS, 78,
+        (rf"{BUS_AXIS}:\d+: drive\.profile: no file may have this name",), drive_key(f"profile: {LONG}"),
+    ),
     Case("missing axis file", RUN, 78, (f"{AXIS}: cannot be read: No such file",), without(AXIS)),
     Case(
         "missing model file", RUN, 78,
