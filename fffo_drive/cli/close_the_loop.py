@@ -9,8 +9,9 @@ findings.
 With a simulated drive the timeouts are longer. If the machine is too busy, a run is repeated; if that is not enough,
 all runs are repeated at 1000 or 500 Hz. On hardware a disturbed run is an error.
 
-Exit codes: 0 adopted, or nothing found; 1 a gate refuses the finding, or the held-out run does not confirm it; 69 no
-bus; 70 drive fault, or this machine can keep none of the rates; 74 disk error; 78 bad input.
+Exit codes: 0 adopted, or nothing found; 1 not adopted: a gate refuses the finding, no effect in it can be compensated,
+or the held-out run does not confirm it; 69 no bus; 70 drive fault, or this machine can keep none of the rates; 74 disk
+error; 77 real-time rights refused; 78 bad input.
 """
 
 from __future__ import annotations

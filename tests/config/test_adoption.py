@@ -408,6 +408,8 @@ def test_the_help_says_what_comes_of_it(capsys):
         assert ended.value.code == 0
         text = " ".join(capsys.readouterr().out.split())
         assert "Exit codes: 0 adopted" in text
+    assert "1 not adopted: a gate refuses the finding, no effect in it can be compensated, or the held-out run" in text
+    assert "77 real-time rights refused" in text
 
 
 def test_the_gates_of_a_linear_axis_speak_of_forces_and_a_mass():
