@@ -15,12 +15,10 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from .motion import Integers, PulseMotion, extreme, integral, pulse_windows
-
-Floats = npt.NDArray[np.float64]
+from ..arrays import Floats, Integers
+from .motion import PulseMotion, extreme, integral, pulse_windows
 
 LARGEST_AGE_S = 0.02
 DELAY_STEP_S = 5e-4  # grid of the search, before the bounded refinement

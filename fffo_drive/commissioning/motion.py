@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..drive.cia402 import STATE_OPERATION_ENABLED, STATE_QUICK_STOP_ACTIVE, state_of
 
-Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-Integers = npt.NDArray[np.int64]
 
 
 class PulseMotion(NamedTuple):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..control.reference import MODE_CURRENT, Profile
-
-Floats = npt.NDArray[np.float64]
 
 LEAD_S = 0.05  # zero current before and after a pulse
 PULSE_S = 0.04

@@ -6,8 +6,8 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..control.compensation import (
     MOST_EFFECTS,
     Limits,
@@ -23,8 +23,6 @@ from ..model.effects.registry import LAWS, is_compensable, law_of
 from ..model.effects.table import Term, along_into, effect_table
 from ..model.parameters import EffectModel, ModelFile
 from .axis import AxisFile, loop_axis
-
-Floats = npt.NDArray[np.float64]
 
 SLOPE_POINTS = 8192  # of one span of the angle
 # step, speed, travel since the reversal: what has a memory stands still, or has come to its end within each step

@@ -22,8 +22,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..jit import njit
 from ..jit.by_address import call_on_vectors, vector_kernel_at, vectors_address
 from ..model.axis import AxisConfig
@@ -33,8 +33,6 @@ from ..model.effects.table import Term, derive_signals, effect_table
 from ..model.friction import FrictionConfig, FrictionState, friction_step
 from ..packing import flat_names, pack, reader
 from .feedforward import Reference
-
-Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 8
 ALL_EFFECTS = (1 << MOST_EFFECTS) - 1

@@ -16,13 +16,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from ..arrays import Floats
 from ..jit import njit
 from ..packing import flat_names, reader
 from .feedforward import FeedforwardConfig, Reference
-
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 HISTORY = 1024  # samples of a trajectory that are kept, a power of two: more than twice the longest delay of a model
 _KEPT = HISTORY - 1

@@ -28,12 +28,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.friction import FrictionConfig, steady_friction_nm
 from ..model.parameters import ModelFile
 from .position_hold import held_travel_rev
 from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
 
-Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complexfloating[Any, Any]]
 
 ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elasticity

@@ -20,10 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..jit import njit
 from ..units import NS_PER_S
-
-Floats = npt.NDArray[np.float64]
 
 COMMANDS = 1024  # last commands that are kept, a power of two: more than twice the longest delay of a model
 _KEPT = COMMANDS - 1

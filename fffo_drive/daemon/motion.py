@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
+from ..arrays import Floats
 from ..config.axis import feedforward_config
 from ..control.reference import MODE_VELOCITY, Profile
 from ..drive.cia402 import GOAL_ENABLED
 from ..runtime import blocks as b
-from ..runtime.blocks import NO_PAST, Floats
+from ..runtime.blocks import NO_PAST
 from ..runtime.session import Session
 from ..workflows.plan import Plan
 from .connection import Connection

@@ -14,8 +14,8 @@ from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..identification.coordinates import LOGARITHMIC, MODEL_PARAMETERS, PARAMETERS, axis_of
 from ..identification.kinematics import low_pass
 from ..identification.population import FROM_POPULATION, AgainstPopulation
@@ -24,8 +24,6 @@ from ..model.axis import AxisConfig
 from ..model.friction import FrictionConfig
 from .kernels import friction_along
 from .rows import DiagnosisRows, DiagnosisStretch, second_difference
-
-Floats = npt.NDArray[np.float64]
 
 BASE = (*MODEL_PARAMETERS, "sensor_lag_s2")  # refitted with every effect; a torque offset is an effect
 RIGID = ("inertia_nm_s2_per_rev", "delay_s", "viscous_nm_per_rps", "coulomb_nm")  # parameters of a rigid base

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import itertools
 
-import numpy as np
-import numpy.typing as npt
-
+from ..arrays import Floats
 from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
 from .curves import Curve, coarse_tables, curves
 from .fitting import Data, Fitted, consistent_scenes
 from .propose import Evidence, beside, evidence_of, score
 from .results import ResidualChannel
-
-Floats = npt.NDArray[np.float64]
 
 
 def channels(

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.effects import slots
 from ..model.effects.laws.lookup import (
     BRAKE,
@@ -31,8 +31,6 @@ from ..model.effects.laws.lookup import (
 from ..model.effects.registry import axis_of_effect
 from .rows import DiagnosisRows, Filter
 from .scenes import Scene, load_along
-
-Floats = npt.NDArray[np.float64]
 
 FAR = 1e6
 CURVE_KNOTS = 12

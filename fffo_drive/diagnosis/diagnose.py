@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from .. import __version__
+from ..arrays import Floats
 from ..identification.coordinates import LOGARITHMIC
 from ..identification.criterion import Gain
 from ..identification.dataset import DataError, Record, one_rate
@@ -39,8 +39,6 @@ from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector
 from .select import DiagnosisSettings as DiagnosisSettings
 from .startup import starting_data
-
-Floats = npt.NDArray[np.float64]
 
 # mechanisms that an ablation can switch off
 MECHANISMS = ("ladder", "drop", "shapes", "current", "shrink", "curves", "datum", "two_starts", "least_torque")

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
 from ..identification.criterion import HUBER, Folds, clipped, huber, levels
 from ..identification.residuals import PRESLIDING_LENGTHS
@@ -40,9 +40,6 @@ from .base import (
 from .curves import curve_columns
 from .rows import DiagnosisRows, DiagnosisStretch
 from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes_of
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 LOOKUP = "lookup"  # a free curve: its knots are fixed
 CURVE_PRIOR = 1e-3  # prior weight, as a share of the squared norm of a curve's column

@@ -10,16 +10,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.effects.law import SHAPE
 from ..model.effects.registry import law_of
 from .base import BASE, NAMES, delayed, models_along
 from .fitting import Data, Fitted, consistent_scenes, standard_deviations, torque_of
 from .propose import WAVE_RUNG
 from .scenes import Effect, load_along
-
-Floats = npt.NDArray[np.float64]
 
 NEGLIGIBLE = 0.0025  # rms share of the needed torque; a sensor leaves as much (ablation_diagnosis.md)
 INERTIA_FACTOR = 1.5  # largest factor by which an effect may change the inertia of the first rungs ...

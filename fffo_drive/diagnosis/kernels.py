@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..jit import njit
 from ..model.friction import FrictionConfig, FrictionState, friction_step, steady_friction_nm
-
-Floats = npt.NDArray[np.float64]
-
 
 HELD_SHARE = 3.0  # largest torque that friction holds at rest, in its own level: a missing effect may have raised it
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..model.effects import slots
 from ..model.effects.law import Folded
 from ..model.effects.registry import law_of
@@ -24,9 +24,6 @@ from .fitting import Data, Fitted, consistent_scenes
 from .pictures import bin_edges, binned, interval, shown_bins
 from .results import FoundCurve, Picture, PictureMark
 from .scenes import Effect, Scene, load_rows, wave_factor
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 SPECTRUM_POINTS = 480
 LEAST_ORDERS = 8.0  # orders of the motor turn that a spectrum shows at least

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..identification.criterion import clipped
 from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
@@ -18,9 +19,6 @@ from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, FoundCurve, Picture, RunFigure
 from .rows import DiagnosisRows, DiagnosisStretch
 from .scenes import Effect, Scene, load_rows
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 BINS = 32
 LEAST_ROWS = 8  # fewest rows in a bin that is shown

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Mask
 from ..identification.criterion import Folds, Gain, gain, huber
 from ..identification.dataset import Record
 from .base import NAMES
@@ -20,9 +20,6 @@ from .gates import needed_rows
 from .results import ErrorFigures, Interval
 from .rows import DiagnosisRows, Filter, rows_of, stretches_of
 from .scenes import Effect
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 DRAWS = 400
 SDS = 2.0  # of the paired difference, beyond which a model counts as worse

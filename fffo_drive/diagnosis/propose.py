@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..identification.criterion import DISTINCT, Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
 from ..identification.ranking import ranked
@@ -28,8 +28,6 @@ from .rows import HIGHEST_ORDER, SLOW_QUANTILE
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
 from .spectra import HIGHEST_ORDER as TURN_ORDER
 from .spectra import frequency_peaks, order_peaks, slow_orders
-
-Floats = npt.NDArray[np.float64]
 
 LONG_WAVES = 64  # half periods of a linear travel that are tried as waves
 PEAKS = 4  # lines of each spectrum that become shapes

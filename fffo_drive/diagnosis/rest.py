@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from ..arrays import Floats
 from ..identification.criterion import gain, huber
 from ..model.effects import slots
 from ..model.effects.registry import axis_of_effect
@@ -24,9 +25,6 @@ from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, Rest, share_above
 from .scenes import Scene
 from .spectra import time_spectrum
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 REPORTED_RATIO = 1.2  # rms relative to the floor, above which a rest is reported
 TREES = 80

@@ -11,10 +11,8 @@ import re
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from .. import __version__, formats
+from ..arrays import Floats
 from ..documents import Confidence
 from ..identification.population import AgainstPopulation
 from ..identification.runs import RunsLook
@@ -22,8 +20,6 @@ from ..model.effects.laws.lookup import UNKNOWN, CurveModel, curve_model
 from ..model.effects.registry import law_of
 from ..model.parameters import ModelFile
 from ..units import NORMAL_95, name_on, text_on, unit_on
-
-Floats = npt.NDArray[np.float64]
 
 VerdictWord = Literal["effects_found", "no_effect_found", "unexplained", "nothing_carries_over"]
 

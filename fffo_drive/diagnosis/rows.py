@@ -15,14 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, signal
 
+from ..arrays import Floats, Integers, Mask
 from ..identification.criterion import Folds, folds_of
 from ..identification.dataset import Record
 from ..identification.kinematics import low_pass
 from .kernels import filter_rows, play_path
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 CUTOFF_HZ = 45.0  # cut-off of the shared filter for runs that also contain slow motion
 HIGHEST_ORDER = 200.0  # highest order that is searched, periods a turn

@@ -12,9 +12,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, signal
 
+from ..arrays import Floats
 from ..identification.facts import DriveFacts
 from ..model.axis import AxisConfig
 from ..model.effects import slots
@@ -24,7 +24,6 @@ from .base import Along, axis_config
 from .kernels import contact_levels, wave_rows
 from .rows import DiagnosisRows, DiagnosisStretch, second_difference
 
-Floats = npt.NDArray[np.float64]
 Factors = dict[str, Floats]  # factors of waves, by kind: the same for all orders
 
 

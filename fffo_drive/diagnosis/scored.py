@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..identification.criterion import clipped, huber, robust_residual, sandwich_p, unseen_loss
 from .fitting import (
     Data,
@@ -21,8 +21,6 @@ from .fitting import (
     torque_of,
     with_levels,
 )
-
-Floats = npt.NDArray[np.float64]
 
 LADDER_ITERATIONS = 8  # of a fit of the first rungs
 ROUNDS = 8  # largest number of refits until noise levels and model agree ...

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..identification.criterion import (
     Folds,
     Gain,
@@ -58,8 +58,6 @@ from .scored import (
     settled,
     without,
 )
-
-Floats = npt.NDArray[np.float64]
 
 MOST_EFFECTS = 6
 ITERATIONS = 6  # of a contender's fit ...

@@ -12,13 +12,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from ..arrays import Floats
 from ..identification.ranking import ranked
 from .rows import DiagnosisRows
-
-Floats = npt.NDArray[np.float64]
 
 BINS_A_PERIOD = 2.56  # of the shortest period
 HIGHEST_ORDER = 50.0  # of the periodogram of a turn; above it whole orders are tried one by one

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..identification.coordinates import start_vector
 from ..identification.criterion import HUBER, huber
 from ..identification.dataset import DataError
@@ -25,8 +25,6 @@ from ..units import MAD_TO_SD
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
 from .rows import DiagnosisRows, DiagnosisStretch
-
-Floats = npt.NDArray[np.float64]
 
 DELAYS_S = tuple(0.001 * k for k in range(13))
 BUMPS = (0.03, 0.06, 0.12, 0.25)  # Stribeck speeds that are tried, in shares of the top speed

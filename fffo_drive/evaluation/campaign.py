@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+from ..arrays import Floats
 from ..control.controller import ControllerConfig
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
 from ..control.reference import Profile
@@ -15,7 +16,7 @@ from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.session import Session, SessionConfig
 from .measures import Measures, Yardstick, measure
-from .metrics import Floats, Rows
+from .metrics import Rows
 from .trace import Trace, trace_of
 from .workers import over_cores
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student_t
 
-from .metrics import Floats
+from ..arrays import Floats
 
 LEVEL = 0.95
 RESAMPLES = 10_000

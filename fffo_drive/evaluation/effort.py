@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .metrics import Floats, rms
+from ..arrays import Floats
+from .metrics import rms
 
 HIGH_FROM_HZ = 100.0  # far above reference (10 Hz) and loop (24 Hz): friction's steps at reversals, and noise
 NOISE_FROM_HZ = 200.0  # nearly all noise: with 1/K = 1/778 rev, friction takes some 5 ms to reverse

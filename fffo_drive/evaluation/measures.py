@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from .effort import ControlEffort, control_effort
-from .metrics import ErrorMetrics, Floats, error_metrics
+from .metrics import ErrorMetrics, error_metrics
 from .reversal import Crossing, ReversalLag, crossing_error, find_reversals, near_reversals, reversal_lag
 from .trace import Trace
 

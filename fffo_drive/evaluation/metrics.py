@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..drive.port import ExchangeCounts
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 # Table II in per cent of the smallest; shown next to the measured values
 PAPER_TABLE_2 = {

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats, Integers
 from ..control.adaptation import NOTHING_ADAPTED, AdaptationState, adaptation_at_start
 from ..control.compensation import (
     SUM_NM,
@@ -75,8 +76,6 @@ from ..runtime.tick import (
 )
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
-Floats = np.ndarray[Any, np.dtype[np.float64]]
-Integers = np.ndarray[Any, np.dtype[np.int64]]
 
 # what is reproduced, by the names of the row
 TERMS = (

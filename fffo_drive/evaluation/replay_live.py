@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats, Integers
 from ..control.controller import unpack_controller
 from ..control.set_point import (
     HISTORY,
@@ -21,9 +22,6 @@ from ..control.set_point import (
     with_set_point,
 )
 from ..jit import njit
-
-Floats = np.ndarray[Any, np.dtype[np.float64]]
-Integers = np.ndarray[Any, np.dtype[np.int64]]
 
 # recomputed fields of the row
 LIVE_FIELDS = (

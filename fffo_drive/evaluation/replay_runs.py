@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats, Integers
 from ..control.controller import CONTROLLER_BLOCK_SIZE
 from ..control.envelope import (
     TRIP_BUS_OFF,
@@ -37,7 +38,7 @@ from ..runtime.tick import (
     FLAG_REBOOT,
 )
 from ..signals import ROW
-from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Floats, Integers, Replay, Replayed, Rows, law_in_force
+from .replay import COMMANDS, REQUESTED, TERMS, WORDS, Replay, Replayed, Rows, law_in_force
 from .replay_live import LIVE_FIELDS, LiveReplay, LiveRows
 
 FLAG_OF_TRIP = {

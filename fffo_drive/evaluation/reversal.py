@@ -10,11 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from .metrics import Floats
-
-Mask = npt.NDArray[np.bool_]
+from ..arrays import Floats, Mask
 
 THRESHOLD_RPS = 0.05  # some four standard deviations of a 15-bit resolver's velocity
 FAST_RPS2 = 10.0  # from this slope of the reference on, a reversal is judged by its lag, below by its error

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .metrics import Floats, Rows
+from ..arrays import Floats
+from .metrics import Rows
 
 
 class Trace(NamedTuple):

@@ -17,8 +17,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.kinematics import low_pass, sure_direction, travel_since_reversal_rev
@@ -27,9 +27,7 @@ from ..identification.rows import RegressionStretch, rows_at, stretches_of
 from ..jit import njit
 from ..model.effects import slots
 from ..model.effects.laws.backlash import CONTACT_HZ, LAW
-from .regress import COULOMB, INERTIA, Estimates, Integers, balance_columns, block_starts
-
-Floats = npt.NDArray[np.float64]
+from .regress import COULOMB, INERTIA, Estimates, balance_columns, block_starts
 
 GAP_REV = np.geomspace(0.002, 0.128, 13)  # at the motor shaft, sqrt(2) apart: from a tight coupling to a worn gear
 GAP_UPPER = np.triu_indices(GAP_REV.size)

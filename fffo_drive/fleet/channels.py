@@ -23,16 +23,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Integers, Mask
 from ..jit import njit
 from ..units import MAD_TO_SD
 from .detector import BURN_IN, CLIP
 from .history import RunHistory, joined
 from .matrices import factor, inverse_total, medians_of_known
 from .words import WORDS
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 # columns of the records: the law that each stands for, the column that is its scale, and the typical standard deviation
 # between runs of seconds, over that scale (for a fleet of one; each fleet has its own)

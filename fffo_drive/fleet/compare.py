@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from .. import formats
+from ..arrays import Floats
 from ..documents import DocumentError, counted
 from ..identification.facts import DriveFacts
 from ..report.document import (
@@ -48,8 +48,6 @@ from .schema import BAND_EDGES_HZ, ORDERS, table_of, unit_of
 from .store import FleetStore
 from .words import day_of, word_of
 from .work import record_row
-
-Floats = npt.NDArray[np.float64]
 
 KIND = "fleet-compare"
 RANGE = ".."

@@ -27,14 +27,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize
 
+from ..arrays import Floats, Integers
 from ..jit import njit
 from ..units import MAD_TO_SD
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 CLIP = 2.0  # of a score: one outlier counts for little; 1.75 and 2.25 find less (fleet_watch, seeds 1, 55 and 56)
 SECOND_MOMENT = 1.04  # of a clipped score at most: Student's t with two degrees of freedom has 1.03, a normal one 0.92

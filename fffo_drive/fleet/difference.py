@@ -21,9 +21,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from ..arrays import Floats
 from ..documents import counted
 from .change import fit_change
 from .channels import (
@@ -39,8 +39,6 @@ from .detector import ChannelPrior
 from .history import RunHistory, joined
 from .learning import learned
 from .matrices import inverse_total
-
-Floats = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95
 LARGEST_P = 0.05  # after the correction

@@ -13,14 +13,12 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..arrays import Floats, Integers
 from ..documents import DocumentError
 from .backlash import GAP_REV, Gap, GapSums, gap_of
 from .regress import PARAMETERS, Balance, Estimates, solve_each, unpacked
 from .schema import ORDERS
 from .store import FleetStore
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 US_PER_S = 1e6
 FEW_DRIVES = 32

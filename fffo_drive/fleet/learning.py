@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..jit import njit
 from ..units import MAD_TO_SD
 from .channels import (
@@ -24,9 +24,6 @@ from .channels import (
     learn,
 )  # fmt: skip
 from .detector import BURN_IN, CLIP, SCALE_CLIP_SQUARED, SCALE_MEAN, ChannelPrior, detect, median_of
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 EXTRA_SLOPE_SD = 0.2  # of logarithms of amplitudes, per unit of a covariate
 CHANNEL_SLOPE_SD = 0.02  # of a channel per e-fold of speed, over its scale

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..jit import njit
-
-Floats = npt.NDArray[np.float64]
 
 
 @njit

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__
+from ..arrays import Floats
 from ..evaluation.metrics import rms
 from ..identification.dataset import DataError, Record, log_of, record_of_log
 from ..identification.facts import DriveFacts
@@ -24,8 +25,6 @@ from ..workflows.recorded_facts import facts_in
 from .backlash import GAP_REV, GAP_UPPER, GapSums, gap_of, gap_sums
 from .regress import PARAMETERS, RUNGS, Balance, Estimates, balance_columns, balance_of, explained_by, packed, solve
 from .schema import ANGLE_BINS, BAND_EDGES_HZ, HIGHEST_ORDER, LOAD_QUANTILES, SCHEMA_VERSION, SPEED_EDGES_RPS
-
-Floats = npt.NDArray[np.float64]
 
 LEAST_ROWS = 40  # of sure sliding
 TOOL = f"fffo-drive {__version__}"

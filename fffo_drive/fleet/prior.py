@@ -15,17 +15,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
 from .. import formats
+from ..arrays import Floats
 from ..units import MAD_TO_SD
 from .channels import MEAN_DEGC, STEP_K, Stack, marginal, stacked
 from .history import RunHistory
 from .learning import learned
 from .matrices import inverse_total
-
-Floats = npt.NDArray[np.float64]
 
 LEAST_DRIVES = 3
 ROUNDS = 60

@@ -16,15 +16,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
 from ..jit import njit
 from .matrices import inverses
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 PARAMETERS = (
     "inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "stribeck_nm", "offset_nm",

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from .. import formats
+from ..arrays import Floats
 from ..documents import counted
 from ..report.document import (
     Cell,
@@ -33,8 +33,6 @@ from .spread import LEAST_DRIVES, OUTSIDE_P, ModelSpread, Outsider, QuantitySpre
 from .store import StoreStatus
 from .watch import Watched, alarm_text
 from .words import day_of, short_of, word_of
-
-Floats = npt.NDArray[np.float64]
 
 KIND = "fleet"
 SHOWN_DRIVES = 6  # of a model, whose histories are drawn: those outside first, then those with most runs

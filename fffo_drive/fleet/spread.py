@@ -11,14 +11,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from scipy import special
 
+from ..arrays import Floats, Integers
 from ..jit import njit
 from ..units import MAD_TO_SD
 from .history import SCALARS, US_PER_S, column_of, edges_of, matrix_of
 from .regress import PARAMETERS, UPPER, solve_each, unpacked
 from .schema import HIGHEST_ORDER, unit_of
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 SPREAD_COLUMNS = (
     "model", "drive", "start", "units", "normal", "moment", *SCALARS, "order_amplitude_nm",

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..documents import DocumentError, counted, did_you_mean, finite, parse, read_text
 from ..identification.dataset import Record, log_of, record_of_log
 from ..identification.facts import DriveFacts
@@ -22,8 +22,6 @@ from .regress import PARAMETERS, Balance, solve
 from .schema import unit_of
 from .store import FleetStore
 from .words import word_of
-
-Floats = npt.NDArray[np.float64]
 
 FILES = (".json", ".yaml", ".yml")
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers
 from ..documents import counted
 from ..identification.threads import in_threads
 from ..units import NORMAL_95
@@ -24,9 +24,6 @@ from .learning import evenly, learned
 from .matrices import medians_of_known
 from .store import FleetStore
 from .words import day_of
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 DEFAULT_ALARMS_PER_DRIVE_YEAR = 0.01
 FIRST_WITHIN = 8  # runs before and after the detector's guess, among which the first run is looked for

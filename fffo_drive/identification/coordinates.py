@@ -6,15 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.axis import AxisConfig
 from ..model.friction import OMEGA_CLIPPED, FrictionConfig
 from ..symbols import FRICTION, SYMBOLS
 from .regression import TorqueStart
 from .shooting import Nuisance
-
-Floats = npt.NDArray[np.float64]
 
 PARAMETERS = tuple(SYMBOLS)  # the order of all vectors and matrices of the fit
 MODEL_PARAMETERS = ("inertia_nm_s2_per_rev", "delay_s", *FRICTION)

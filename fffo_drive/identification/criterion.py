@@ -15,10 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # its modules load where they are first used
 
+from ..arrays import Floats, Integers
 from ..units import MAD_TO_SD
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 FOLDS = 5
 BLOCK_S = 2.0  # blocks are taken as independent; two neighbours go into one fold ...

@@ -17,13 +17,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Mask
 from ..units import NORMAL_95, TWO_PI
 from .coverage import LEAST_TURNS
 from .criterion import folds_of
 from .dataset import DataError, Record
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 HIGHEST_ORDER = 64  # periods a turn
 WINDOWS_AN_ORDER = 4  # of data: each order has two numbers

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Mask
 from ..recording.column_map import TIME, identity_map
 from ..recording.errors import RecordingError
 from ..recording.load import read_log
@@ -20,9 +20,6 @@ from ..recording.table import SUFFIXES, LogTable, column_names, read_table
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
 from .timebase import at_lower_rate, on_even_grid
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 SHORTEST_S = 1.0
 LEAST_RATE_HZ = 50.0  # below it the filters leave hardly 1 Hz: acceleration, break-away and delay cannot be seen

@@ -10,15 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.effects.table import Term
 from ..model.parameters import EffectModel, effect_model
 from .coordinates import PARAMETERS, Coordinates
 from .layout import SHARED, EffectLayout, EffectScales
 from .prediction import Problem
-
-Floats = npt.NDArray[np.float64]
 
 BASE = len(PARAMETERS)
 COULOMB, STATIC = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm"))

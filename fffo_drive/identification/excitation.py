@@ -13,14 +13,12 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, piecewise_linear, sigmoid_envelope
 from ..model.axis import AxisConfig, AxisState, simulate
 from ..model.effects.registry import law_of
 from ..model.friction import REST
-
-Floats = npt.NDArray[np.float64]
 
 STAIRCASE_SHARES = (0.01, 0.03, 0.07, 0.15, 0.3, 0.5, 0.75, 1.0)  # of the highest speed: eight levels both ways
 DWELLS_S = (0.1, 0.25, 0.6, 1.5, 3.0, 6.0)  # six dwell times, each ended at the same torque rate

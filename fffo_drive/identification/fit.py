@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.effects.table import Term
 from ..symbols import SYMBOLS
 from .coordinates import (
@@ -34,7 +34,6 @@ from .regression import TorqueStart, regression_start, start_problems
 from .solver import Solution, huber_cost, refine, robust_scale, solve
 from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls

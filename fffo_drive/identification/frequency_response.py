@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, signal
 
+from ..arrays import Floats
 from .dataset import DataError, Record
 from .kinematics import acting_torque_nm, motion_of
-
-Floats = npt.NDArray[np.float64]
 
 SEGMENTS_S = (
     32.0,

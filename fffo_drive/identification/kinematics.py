@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # its modules load where they are first used
 
+from ..arrays import Floats, Mask
 from .dataset import Record
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 DEFAULT_CUTOFF_HZ = 40.0
 FILTER_ORDER = 4  # in total: half of it forwards, half backwards

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..model.effects.registry import law_of
 from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
 from .dataset import Record
@@ -24,8 +25,6 @@ from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER
 from .layout import EffectStart
 from .regression import TorqueStart
 from .rows import CONSTANT, RegressionRows, least_squares, rigid_columns, rows_at, stretches_of, turns_one_way
-
-Floats = npt.NDArray[np.float64]
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried

@@ -6,15 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ..arrays import Floats
 from ..model.effects.law import PER_TURN, STRENGTH, Law, Parameter
 from ..model.effects.laws.lookup import values_of
 from ..model.effects.registry import law_of
 from ..model.effects.table import Term
-
-Floats = npt.NDArray[np.float64]
 
 SHARED = -1
 SHAPE_SPAN = 10.0  # a positive shape stays within this factor of its start

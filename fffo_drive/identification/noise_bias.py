@@ -8,13 +8,11 @@ doubles the bias, to first order: the shift, which can be computed without true 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from .coordinates import Coordinates
 from .prediction import Problem
 from .solver import Solution, central_step
-
-Floats = npt.NDArray[np.float64]
 
 THIRD_DIFFERENCE_POWER = 20.0  # of white noise: 1 + 9 + 9 + 1
 SEED = 1

@@ -9,15 +9,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..documents import counted
 from ..model.parameters import ModelFile, Quantity
 from ..units import inertia_kg_m2, text_on, unit_on
 from .coordinates import PARAMETERS
 from .fit import Fit
-
-Floats = npt.NDArray[np.float64]
 
 SOURCE = "fitted, with the population as prior"
 INERTIA = "inertia_nm_s2_per_rev"

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats, Mask
 from ..model.axis import AxisConfig
 from ..model.effects import slots
 from ..model.effects.table import EffectTable, Term, effect_table
@@ -18,9 +19,6 @@ from .kinematics import trusted
 from .layout import EffectLayout
 from .shooting import ShootingConfig, innovations
 from .threads import in_threads
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 OBSERVER_DAMPING = 0.8
 BLOCK_PERIODS = 0.08  # of the observer's bandwidth: length over which residuals are averaged

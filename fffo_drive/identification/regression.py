@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from .dataset import DataError, Record
 from .ranking import lower
 from .rows import (
@@ -27,8 +27,6 @@ from .rows import (
     stretches_of,
     turns_one_way,
 )
-
-Floats = npt.NDArray[np.float64]
 
 EXPONENTS = (0.7, 1.0, 1.5, 2.0)
 LEAST_ROWS = 200

@@ -16,18 +16,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal, stats
 
+from ..arrays import Floats, Mask
 from ..model.effects.table import Term
 from .coordinates import PARAMETERS, axis_of
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of, trusted
 from .prediction import observer, table_at
 from .shooting import PATH_COLUMNS, Kick, follow, shoot
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 OBSERVER_HZ = 40.0
 WINDOW_S = 0.2

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats, Integers, Mask
 from .dataset import DataError, Record
 from .kinematics import (
     Kinematics,
@@ -25,10 +25,6 @@ from .kinematics import (
     travel_since_reversal_rev,
     trusted,
 )
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 ROWS_A_PERIOD = 4.0  # of the filter's cut-off
 ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns

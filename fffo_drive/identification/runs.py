@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from .criterion import BLOCK_S, SHORTEST_BLOCK_S
 from .dataset import DataError, Record
 from .kinematics import DEFAULT_CUTOFF_HZ
@@ -33,7 +33,6 @@ from .rows import (
     turns_one_way,
 )
 
-Floats = npt.NDArray[np.float64]
 Kind = Literal["contradiction", "drift", "confounded", "repeated_reference"]
 
 PARAMETERS = ("inertia_nm_s2_per_rev", "viscous_nm_per_rps", "coulomb_nm", "offset_nm")

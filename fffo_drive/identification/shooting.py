@@ -14,18 +14,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ..arrays import Floats, Integers
 from ..jit import njit
 from ..model.axis import AxisConfig, AxisState, axis_step, mean_held_command
 from ..model.effects import slots
 from ..model.effects.step import loaded_step
 from ..model.effects.table import EffectTable
 from ..model.friction import FrictionState
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 PATH_COLUMNS = 7  # of `follow`
 

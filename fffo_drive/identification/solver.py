@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..units import MAD_TO_SD
 from .coordinates import Coordinates, to_physical
 from .prediction import Problem, jacobian, residual
-
-Floats = npt.NDArray[np.float64]
 
 HUBER = 4.0  # residuals beyond this many robust standard deviations lose weight: break-aways that no model predicts
 LARGEST_STEP = 0.7  # of a coordinate in one iteration

@@ -15,13 +15,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # its modules load where they are first used: together they take a second
 
+from ..arrays import Floats, Mask
 from ..recording.table import GAP_PERIODS
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 COMMAND = "current_command_a"
 POSITIONS = ("position_rev", "reference_position_rev")

@@ -17,11 +17,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins, worst_margins
-
-Floats = npt.NDArray[np.float64]
 
 DAMPING_RATIO = 2.0  # of the desired closed loop: real poles with margin for friction; the paper's loop has 1.96
 REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to it (results/chain.md)

@@ -19,12 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from .coordinates import LOG_SPAN, Coordinates, physical_slope
 from .prediction import Problem, jacobian
 from .ranking import ranked
 from .solver import Solution, huber_weights
-
-Floats = npt.NDArray[np.float64]
 
 UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0

@@ -12,6 +12,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from ..arrays import Floats
 from ..documents import check
 from ..formats import FACTS
 from ..identification.dataset import DataError, record_of_columns
@@ -45,7 +46,7 @@ from .recognise import (
     Guess,
     Recognition,
 )
-from .source import Floats, Source
+from .source import Source
 
 FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from .source import Floats
+from ..arrays import Floats
 
 LEAST_STEPS = 8
 STEADY = 0.5  # of the median step: of a time that scatters, most steps are within

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from ..arrays import Floats
 from .evidence import wrap_of
-from .source import Floats
 from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, PACE, SHARE, SPEED, TIME, TORQUE, UNITS, VOLTAGE, turn_of
 
 POSITION, VELOCITY, ACCELERATION, ENABLE = "position", "velocity", "acceleration", "enable"

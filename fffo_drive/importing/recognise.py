@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
 from ..signals import REFERENCE_POSITION
@@ -35,7 +36,7 @@ from .evidence import (
     wrap_of,
 )
 from .names import ENABLE, INPUTS, POSITION, VELOCITY, Meaning, meaning_of
-from .source import Floats, Source
+from .source import Source
 from .units import ANGLE, COUNT, FORCE, LENGTH, PACE, SHARE, TIME, TORQUE, UNITS, VOLTAGE, turn_of, unknown_unit
 
 TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"

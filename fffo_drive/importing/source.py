@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..recording.errors import RecordingError
 from .units import split_name
-
-Floats = npt.NDArray[np.float64]
 
 LEAST_ROWS = 2
 

@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import Floats
 from ..documents import counted
 from ..recording.errors import RecordingError
 from ..recording.unpack import gunzipped
 from .evidence import at_stamps
 from .names import measured_wrap
-from .source import Floats, Source
+from .source import Source
 from .units import split_name, time_scale, unit_of
 
 SAMPLE_LINES = 400  # from which the layout is recognised

@@ -10,12 +10,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..jit import njit
 from .friction import FrictionConfig, FrictionState, friction_step
-
-Floats = npt.NDArray[np.float64]
 
 
 class AxisConfig(NamedTuple):

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..evaluation.metrics import PAPER_TABLE_2, ErrorMetrics, Rows, percent_of_smallest, profile_rows
 from ..units import NS_PER_S
 from .document import significant
 from .figures import (
     Dash,
     Figure,
-    Floats,
     Group,
     LevelLine,
     PlotAxis,

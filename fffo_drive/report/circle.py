@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import formats
+from ..arrays import Floats
 from ..evaluation.metrics import METRIC_UNITS, ErrorMetrics, Rows, error_metrics, profile_rows
 from . import bench_figures as draw
 from .bench import STRETCH_S
@@ -29,7 +30,6 @@ from .document import (
     number,
     significant,
 )
-from .figures import Floats
 from .intervals import ShownInterval, ratio_intervals
 
 KIND = "close-the-loop"

@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..importing.evidence import smooth_derivative
 from ..importing.recognise import (
     COMMAND_A,
@@ -21,8 +21,6 @@ from ..importing.recognise import (
 )
 from ..units import name_on, text_on, unit_in, unit_on
 from .figures import Figure, PlotAxis, Series
-
-Floats = npt.NDArray[np.float64]
 
 CUTOUT_S = 3.0  # of the log, around its fastest motion
 MOST_POINTS = 4000

@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
+from ..arrays import Floats
 from ..documents import sentence
 from ..identification.coverage import Coverage, shown, to_record
 from ..identification.dataset import Record
 from ..identification.kinematics import motion_of
 from ..units import unit_on
 from .document import Section
-from .figures import Figure, Floats, LevelLine, PlotAxis, Series, Uniform, Width
+from .figures import Figure, LevelLine, PlotAxis, Series, Uniform, Width
 
 MOST_RUNS = 4  # that are drawn over time
 COLOURS = ("blue", "orange", "green", "purple")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .figures import Floats, Series, Uniform
+from ..arrays import Floats
+from .figures import Series, Uniform
 
 
 def decimate(y: Floats, most: int) -> tuple[Floats, int]:

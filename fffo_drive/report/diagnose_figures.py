@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..diagnosis.results import Diagnosis, Finding, FoundCurve, Picture, ResidualChannel, RunFigure
 from ..units import axis_word_on, name_on, text_on, unit_on
-from .figures import Dash, Figure, Floats, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
+from .figures import Dash, Figure, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
 PAIR = " x "  # in the name of a channel over two axes

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import Floats
 from .decimation import thinned
-from .figures import Figure, Floats, PlotAxis, Series, Uniform
+from .figures import Figure, PlotAxis, Series, Uniform
 
 SHORT = 4096  # up to here float32 costs nothing
 LEVELS = 32767

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from .palette import SERIES
 
-Floats = npt.NDArray[np.float64]
 Kind = Literal["time", "histogram", "xy", "bars"]
 Draw = Literal["line", "steps", "filled", "points", "bars"]
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]

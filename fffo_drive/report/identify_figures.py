@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..identification.coordinates import PARAMETERS, axis_of, physical_slope, to_physical
 from ..identification.fit import Fit
 from ..identification.residuals import BLOCK_S, LONGEST_LAG, RunResidual, effective_samples, sampling_step
 from ..model.friction import steady_friction_nm
 from ..units import NORMAL_95, text_on
 from .document import significant
-from .figures import Figure, Floats, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
+from .figures import Figure, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
 
 COLOURS = ("blue", "orange", "green", "purple", "grey", "ink")
 LONGEST = 12_000  # points of one record on the page

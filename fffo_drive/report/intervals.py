@@ -11,9 +11,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from ..arrays import Floats
 
 RESAMPLED = ("ise", "mae", "std")  # the largest error is one sample, which cannot be resampled
 LEAST_STRETCHES = 8

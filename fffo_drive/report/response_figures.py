@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..identification.coordinates import axis_of
 from ..identification.dataset import DataError, Record
 from ..identification.frequency_response import LEAST_COHERENCE, FrequencyResponse, frequency_response
 from ..model.axis import AxisState, simulate
 from ..model.friction import REST, steady_friction_nm
 from .document import significant
-from .figures import Dash, Figure, Floats, PlotAxis, Series
+from .figures import Dash, Figure, PlotAxis, Series
 from .identify_figures import COLOURS, IdentifyWords, figure_name
 
 BALANCE_ANGLES = 64

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..control.stability import LinearAxis, Margins, impedance_nm_per_rps, loop_margins
 from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
-from .figures import Dash, Figure, Floats, LevelLine, PlotAxis, Series, Span, Uniform
+from .figures import Dash, Figure, LevelLine, PlotAxis, Series, Span, Uniform
 from .response_figures import harmonic_damping
 
 LOCUS_GAINS = 401

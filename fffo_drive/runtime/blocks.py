@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..control.compensation import ALL_EFFECTS, TABLE_SIZE, new_memory
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.reference import Profile
@@ -19,7 +20,6 @@ from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 
 Words = np.ndarray[Any, np.dtype[np.int64]]
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 # control words: written by the supervisor
 STOP = 0  # 1: leave the loop after this tick

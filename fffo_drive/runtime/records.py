@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..control.compensation import effect_names, table_numbers, table_of
 from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig
@@ -16,7 +17,6 @@ from ..control.set_point import SET_POINT_NAMES, SetPoint
 from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
-from .blocks import Floats
 from .tick import LoopConfig
 
 WORD_KINDS = {  # control words whose changes are records of their own

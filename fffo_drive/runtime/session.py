@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numba import typeof
 
+from ..arrays import Floats
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.reference import Profile
@@ -29,7 +30,6 @@ from . import blocks as b
 from . import records
 from .blocks import (
     Blocks,
-    Floats,
     new_blocks,
     publish_controller,
     publish_effects,

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ..arrays import Floats
 from ..daemon.client import CallError, ClientError, DaemonClient
 from ..daemon.places import CONTROL
 from ..daemon.served_run import own_recording
@@ -28,8 +28,6 @@ POLL_S = 0.05
 PATIENCE_S = 20.0  # beyond the step's own time
 POINTS = 1500  # of a curve on the page
 BEGINS = ("enabled", "following")
-
-Floats = npt.NDArray[np.float64]
 
 
 class StepResponse(NamedTuple):

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from fffo_drive.arrays import Floats
 from fffo_drive.jit import njit
 from fffo_drive.model.axis import AxisConfig, AxisState, mean_held_command
 from fffo_drive.model.effects import slots as s
-from fffo_drive.model.effects.slots import AxisFacts, Floats
+from fffo_drive.model.effects.slots import AxisFacts
 from fffo_drive.model.effects.step import loaded_step
 from fffo_drive.model.effects.table import EffectTable, Term, effect_table
 

@@ -28,6 +28,7 @@ from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import RandomAxis, wide_axis
 from trial_axes.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
 
+from fffo_drive.arrays import Floats
 from fffo_drive.commissioning.bounds import make_bounds
 from fffo_drive.commissioning.procedure import commission
 from fffo_drive.commissioning.record import FAILED, DeclaredFacts
@@ -42,7 +43,6 @@ from fffo_drive.control.stability import linear_axis
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
-from fffo_drive.evaluation.metrics import Floats
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import RESULTS, ROOT, Report, commit, finish, main, parser, passes_of
 
+from fffo_drive.arrays import Floats
 from fffo_drive.config.scenario import Scenario, case_of, read_scenario, select_controllers
 from fffo_drive.config.sections import FeedforwardSection
 from fffo_drive.control.stability import linear_axis, loop_margins
 from fffo_drive.drive.simulated.parameters import PlantConfig, noiseless
 from fffo_drive.evaluation.campaign import run_case
 from fffo_drive.evaluation.measures import NOTHING
-from fffo_drive.evaluation.metrics import PAPER_TABLE_2, ErrorMetrics, Floats
+from fffo_drive.evaluation.metrics import PAPER_TABLE_2, ErrorMetrics
 
 NAME = "table_two"
 PURPOSE = (

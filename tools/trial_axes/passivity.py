@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fffo_drive.arrays import Floats
 from fffo_drive.drive.simulated.pack import new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import PlantConfig, noiseless
 from fffo_drive.drive.simulated.plant import plant_advance
@@ -24,7 +25,6 @@ from fffo_drive.drive.simulated.state import (
     PlantParameters,
     PlantState,
 )
-from fffo_drive.evaluation.metrics import Floats
 from fffo_drive.jit import njit
 from fffo_drive.units import inertia_nm_s2_per_rev
 

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fffo_drive.arrays import Floats
 from fffo_drive.control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT, TRIP_NONE
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from fffo_drive.drive.simulated.parameters import noiseless
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate
-from fffo_drive.evaluation.metrics import Floats, Rows, rms
+from fffo_drive.evaluation.metrics import Rows, rms
 
 RAMP_S = 0.02
 PLATEAU_S = 4.0

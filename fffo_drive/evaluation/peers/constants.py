@@ -5,15 +5,12 @@ A law is a step that returns the command. Its memory is a flat vector, initially
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
+from ...arrays import Floats
 from ...control.feedforward import FeedforwardConfig, Reference
 from ...control.pi import PiConfig, pi_step
 from ...jit import njit
-
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 INTEGRAL_A = 0
 ERROR_RPS = 1  # filtered

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ...arrays import Floats
 from ...control.feedforward import Reference, read_samples
 from ...jit import njit
 from ...packing import reader
-from .constants import MEMORY_SLOTS, OWN, Floats, PeerConfig, command_for, filtered_error
+from .constants import MEMORY_SLOTS, OWN, PeerConfig, command_for, filtered_error
 
 FIRST_NM = OWN  # estimate through the first low-pass
 VELOCITY_RPS = OWN + 1  # of the last period

@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ...arrays import Floats
 from ...control.controller import ControllerConfig
 from ...control.pi import PiConfig
 from ...control.stability import LinearAxis, Margins, loop_margins
@@ -24,7 +25,7 @@ from ...identification.tuning import Wish
 from ...model.friction import FrictionConfig
 from ...units import inertia_nm_s2_per_rev
 from ..campaign import Candidate
-from .constants import Floats, PeerConfig
+from .constants import PeerConfig
 from .design import ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
 from .fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction

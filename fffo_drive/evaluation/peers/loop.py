@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...arrays import Floats
 from ...control.controller import (
     ControllerConfig,
     controller_at_rest,
@@ -27,7 +28,7 @@ from ...jit import njit
 from ...packing import pack
 from ...units import NS_PER_S
 from ..trace import Trace
-from .constants import MEMORY_SLOTS, Floats
+from .constants import MEMORY_SLOTS
 from .disturbance_observer import ObserverLoop, observer_loop_step
 from .lugre import LugreConfig, lugre_step
 from .maxwell_slip import SlipConfig, slip_step

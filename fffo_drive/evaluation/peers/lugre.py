@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ...arrays import Floats
 from ...control.feedforward import Reference
 from ...jit import njit
 from ...packing import reader
-from .constants import LIMITED, OWN, Floats, PeerConfig, command_for, filtered_error
+from .constants import LIMITED, OWN, PeerConfig, command_for, filtered_error
 
 
 class LugreModel(NamedTuple):

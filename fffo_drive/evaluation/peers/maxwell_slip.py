@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ...arrays import Floats
 from ...control.feedforward import Reference
 from ...jit import njit
 from ...packing import reader
-from .constants import OWN, Floats, PeerConfig, command_for, filtered_error
+from .constants import OWN, PeerConfig, command_for, filtered_error
 from .lugre import stribeck_nm
 
 ELEMENTS = 4  # as in the publication's own experiments

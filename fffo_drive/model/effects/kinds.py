@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ...arrays import Floats
 from ...jit import njit
 from ..friction import PRESLIDING_OVER, torque_after
 from . import slots as s
-from .slots import Floats
 
 TURN = 2.0 * math.pi
 LEAST_LEVEL = 0.05  # smallest level of a surface, whatever an effect subtracts

@@ -12,11 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...arrays import Floats
 from ..axis import AxisConfig
-
-Floats = npt.NDArray[np.float64]
 
 # the motion, in the order of the columns of a followed record
 TIME_S = 0  # since the start of the run

@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...arrays import Floats, Integers
 from ...jit import njit
 from ...jit.by_address import call_on_vectors, vectors_address
 from ..axis import AxisConfig
 from . import slots as s
 from .registry import law_of, vector_of
-from .slots import AxisFacts, Floats, new_signals
-
-Integers = npt.NDArray[np.int64]
+from .slots import AxisFacts, new_signals
 
 
 class EffectTable(NamedTuple):

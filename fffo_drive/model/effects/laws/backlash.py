@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, before_step
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric
-from ..slots import Floats
 
 FINEST = 0.25  # of a radian of the contact's resonance in a sub-step
 FLANK_DAMPING = 2.0  # twice the damping ratio: critical

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric, over
-from ..slots import Floats
 
 STEEPEST = 10.0
 

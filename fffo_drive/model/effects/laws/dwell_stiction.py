@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import LEVEL_MEMORY, level_response, settled
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
-from ..slots import Floats
 
 
 def _search(context: SearchContext) -> list[Shape]:

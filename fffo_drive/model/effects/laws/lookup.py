@@ -12,12 +12,12 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from ....arrays import Floats
 from ....documents import StrictRecord
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, approach
 from ..law import SHAPE, STRENGTH, Axis, Law, Parameter, SearchContext, Shape
-from ..slots import Floats
 
 UNKNOWN = "unknown:"
 KNOTS = 24  # of a curve, and of the first axis of a table

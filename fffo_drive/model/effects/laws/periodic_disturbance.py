@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
-from ..slots import Floats
 
 MAINS_HZ = (16.7, 25.0, 50.0, 60.0, 100.0, 120.0)
 

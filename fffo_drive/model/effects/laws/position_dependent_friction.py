@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import TURN, level_response, over_step, wave
 from ..law import SHAPE, STRENGTH, Folded, Law, Parameter, SearchContext, Shape, slow_periods_rev
-from ..slots import Floats
 
 WIDTH_SHARES = (0.06, 0.15)  # of the travel
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import approach, sign_of
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric
-from ..slots import Floats
 
 TRAVEL_RATIO, MEMORY_RATIO = 64.0, 3.0  # over 1/K and Fs/B of the model's surface: where a fit begins
 RANGE = (1e-6, 1e4)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric, over
-from ..slots import Floats
 
 
 def _search(context: SearchContext) -> list[Shape]:

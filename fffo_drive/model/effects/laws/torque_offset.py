@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..law import STRENGTH, Law, Parameter, no_shape
-from ..slots import Floats
 
 
 @njit

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from ....arrays import Floats
 from ....jit import njit
 from .. import slots as s
 from ..kinds import wave
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, over
-from ..slots import Floats
 
 
 def _search(context: SearchContext) -> list[Shape]:
