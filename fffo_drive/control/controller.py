@@ -229,11 +229,13 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
 
 @njit
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
-    """Bumpless change of gains: the integrator takes over what the proportional term loses."""
+    """Bumpless change of gains: the integrator takes over what the proportional term and the bounded estimate lose."""
     before_a_per_rps = _gain_share(before.rest, state.rest) * before.pi.proportional_a_per_rps
     after_a_per_rps = _gain_share(after.rest, state.rest) * after.pi.proportional_a_per_rps
     change_a = (before_a_per_rps - after_a_per_rps) * state.filtered_error_rps
-    return _with_integral(state, state.integral_a + change_a)
+    bound_nm = after.observer.clamp_nm
+    cut_off_nm = state.friction.torque_nm - min(max(state.friction.torque_nm, -bound_nm), bound_nm)
+    return _with_integral(state, state.integral_a + change_a + cut_off_nm / after.torque_constant_nm_per_a)
 
 
 @njit

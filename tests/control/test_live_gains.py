@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -59,6 +60,22 @@ def test_a_change_of_gains_moves_the_command_no_more_than_a_period_of_the_law_do
     one_period_a = (new_ki + new_observer / 0.148) * error_rps * PERIOD_S
     settling_a = abs(then.friction_nm - terms.friction_nm) / 0.148  # what the friction model does in a period anyhow
     assert abs(then.requested_a - terms.requested_a) <= 1.01 * (one_period_a + settling_a) + 1e-9
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lower_bound_of_the_estimate_leaves_the_command_where_it_is(sign):
+    """The observer carries a load beyond the new bound; the integrator takes over what the bound cuts off."""
+    before = law(0.5, 0.0, 5.0)
+    after = before._replace(observer=before.observer._replace(clamp_nm=0.067))
+    state = controller_at_rest()
+    for _ in range(200):
+        terms, state = step(before, state, TOGGLE_FEEDFORWARD, steady_reference(0.01 * sign), -0.5 * sign, 0.0)
+    assert abs(terms.friction_nm) > 0.1
+    then, _ = step(
+        after, with_new_gains(before, after, state), TOGGLE_FEEDFORWARD, steady_reference(0.01 * sign), -0.5 * sign, 0.0
+    )
+    assert abs(then.friction_nm) == 0.067
+    assert math.isclose(then.requested_a, terms.requested_a, rel_tol=1e-9)
 
 
 def test_the_same_gains_change_nothing():
