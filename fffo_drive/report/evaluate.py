@@ -166,7 +166,9 @@ def _table_2(summary: Summary) -> Table:
         f"Percentage of {base}, over {len(summary.seeds)} seeds; below each the 95 % interval of the ratio, from "
         "resampled seeds. MAX is one sample of a run: its order may change from seed to seed."
     )
-    return Table(name="table-2", title="Table II", note=note, corner="Control", columns=columns, rows=rows)
+    return Table(
+        name="table-2", title="Beside the paper's Table II", note=note, corner="Control", columns=columns, rows=rows
+    )
 
 
 def _metrics_table(summary: Summary, kind: str) -> Table:

@@ -422,12 +422,12 @@ def _sections(
     answers = [f for chirp in chirps for f in response_figures.response_figures(chirp, damping, inertia, words)]
     answers += [response_figures.damping_figure(damping, fit.physical, words)] if damping else []
     sections = [
-        Section("Measured and simulated", "Fig. 3: simulated and measured motion.", tuple(measured)),
+        Section("Measured and simulated", "Simulated and measured motion, as in the paper's Fig. 3.", tuple(measured)),
         Section("Friction", "Fitted values and their uncertainty.",
                 (draw.friction_figure(fit, runs, words),)),
-        Section("Residual", "Fig. 4: measured torque minus that of the model.", tuple(spread)),
+        Section("Residual", "Measured torque minus that of the model, as in the paper's Fig. 4.", tuple(spread)),
         Section("Where the residual is", "By correlation time, frequency, amplitude and regime.", tuple(whole)),
-        Section("Frequency response", "Fig. 5: from open-loop chirps.", tuple(answers)),
+        Section("Frequency response", "From open-loop chirps, as in the paper's Fig. 5.", tuple(answers)),
         Section("Whole logs", "The figures of one log zoom together.",
                 tuple(figure for run in runs for figure in draw.course_figures(run, words))),
     ]  # fmt: skip

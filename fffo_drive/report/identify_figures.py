@@ -99,8 +99,8 @@ def course_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
          "windows at standstill are left out.", words.velocity(),
          (Series("measured", grid, measured, "orange", weight=2.4, finest=LONGEST),
           Series("simulated", grid, simulated, "blue", dash="dashed", weight=1.2, finest=LONGEST)), 240),
-        ("residual", f"Fig. 4: Kt i(t − Td) − {words.inertia} a − F, all through the same 40 Hz filter; standstill "
-         f"is left out. {record.name}.", words.residual(),
+        ("residual", f"As in the paper's Fig. 4: Kt i(t − Td) − {words.inertia} a − F, all through the same 40 Hz "
+         f"filter; standstill is left out. {record.name}.", words.residual(),
          (Series("residual", time, residual, "blue", weight=1.0, finest=LONGEST),), 200),
     ]  # fmt: skip
     return [

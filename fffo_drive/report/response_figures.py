@@ -107,7 +107,8 @@ def response_figures(
     unit = f"{words.velocity_unit}/{words.command_unit}"
     group = figure_name("response", record.name)
     caption = (
-        f"Fig. 5, from {record.name}. First-order fit to the gain: {significant(response.gain_rps_per_a)} {unit}, "
+        f"As in the paper's Fig. 5, from {record.name}. First-order fit to the gain: "
+        f"{significant(response.gain_rps_per_a)} {unit}, "
         f"{significant(1e3 * response.time_constant_s)} ms. Grey: Kt/(J p + D) with the damping D of three amplitudes."
     )
     coherence = Series("coherence", frequency, measured.coherence, "orange", "points")

@@ -78,7 +78,11 @@ def locus_figures(tuning: Tuning) -> list[Figure]:
         f"{significant(range_a[-1])} A/rps at Ti = {significant(tuning.integral_time_s)} s."
     )
     x, y = PlotAxis("real part", "1/s"), PlotAxis("imaginary part", "1/s")
-    figures = [Figure("root-locus", "xy", "Root locus", f"Fig. 6: {caption}", x, y, tuple(series), height_px=240)]
+    figures = [
+        Figure(
+            "root-locus", "xy", "Root locus", f"As in the paper's Fig. 6: {caption}", x, y, tuple(series), height_px=240
+        )
+    ]
     if bound > 0.0:
         near = x._replace(limits=(4.0 * zero, 0.4 * abs(zero)))
         title = "Root locus near the bound"
