@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 
 from ..daemon import rpc
 from ..daemon.client import CallError, ClientError, DaemonClient
-from ..daemon.parameters import METHODS, Method
+from ..daemon.parameters import DEFAULT_PROFILE, METHODS, Method
 from ..daemon.serving import find_socket
 from ..documents import DocumentError, parse, read_text, sentence
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
@@ -45,16 +45,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo) -> None:
-    """A required parameter has a place, others a flag; `cli: file` is read from a file, and names it."""
+    """A required parameter has a place, others a flag; `cli: file` is read from a file, and names it.
+
+    Without a name `start` runs the `profile:` section of the axis file.
+    """
     kind = (info.json_schema_extra or {}).get("cli") if isinstance(info.json_schema_extra, dict) else None
     text = (info.description or "").replace("%", "%%")
     if kind == "profile":  # which the API takes as keys
-        text = "name of a profile in the axis file (see `info`), or a YAML file with a `profile:` section"
+        text = "name of a profile in the axis file (see `info`), or a YAML file with a `profile:` section (%(default)s)"
     if info.is_required():
         metavar = {"file": "PATH", "profile": "PROFILE"}.get(str(kind), name.upper())
         choices = get_args(info.annotation) if get_origin(info.annotation) is Literal else None
         type_of = float if info.annotation is float else str
-        command.add_argument(name, metavar=metavar, type=type_of, choices=choices, help=f"{text}{_choices(choices)}")
+        place: dict[str, Any] = {"nargs": "?", "default": DEFAULT_PROFILE} if kind == "profile" else {}
+        command.add_argument(
+            name, metavar=metavar, type=type_of, choices=choices, help=f"{text}{_choices(choices)}", **place
+        )
     elif info.annotation is bool:
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":

@@ -15,6 +15,8 @@ from ..roles import Role
 
 PROTOCOLS = (1,)  # supported versions of this API, the newest last
 
+DEFAULT_PROFILE = "default"  # name of the axis file's own `profile:` section
+
 Seconds = Annotated[float, Field(ge=0, le=600)]
 
 

@@ -13,20 +13,20 @@ from ..config.sections import ProfileSection, length_problems
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError
 from ..workflows.plan import Plan
+from .parameters import DEFAULT_PROFILE
 
-DEFAULT = "default"
 STOP = "stop"  # name of the ramp
 
 
 def profile_names(plan: Plan) -> tuple[str, ...]:
     """Names accepted by `start`."""
-    return (DEFAULT, *plan.axis.daemon.profiles)
+    return (DEFAULT_PROFILE, *plan.axis.daemon.profiles)
 
 
 def chosen_profile(plan: Plan, wanted: str | ProfileSection) -> Profile:
     """The profile of that name or section. Raises DocumentError if there is none, or it exceeds the limits."""
     if isinstance(wanted, str):
-        if wanted == DEFAULT:
+        if wanted == DEFAULT_PROFILE:
             return plan.profile
         section = plan.axis.daemon.profiles.get(wanted)
         if section is None:

@@ -72,7 +72,7 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         code, out, _ = run(capsys, *sockets, "status")
         assert code == 0
         assert out.startswith("ready, for")
-        code, _, error = run(capsys, *sockets, "start", "default")
+        code, _, error = run(capsys, *sockets, "start")
         assert code == 70
         assert "start is not possible in state ready, only in enabled" in error
         assert run(capsys, *sockets, "enable")[1] == "state: enabled, reached: True, epoch: 1\n"
