@@ -27,7 +27,7 @@ from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
 from .daemon.serving import torque_on
-from .documents import DocumentError, check
+from .documents import DocumentError, check, did_you_mean
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary, summarise
@@ -96,7 +96,7 @@ class MeasuredRun:
 
     def __getitem__(self, name: str) -> Floats:
         if name not in self.columns:
-            raise KeyError(f"{self.name}: no signal {name!r}; there are {', '.join(self.columns)}")
+            raise KeyError(f"{self.name}: no signal {name!r}: {did_you_mean(name, self.columns)}")
         return self.columns[name]
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import os
 import signal
@@ -108,5 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             print(f"fffo-drive {command}: {message_of(error)}", file=sys.stderr)
             return code
+    near = difflib.get_close_matches(command or "", COMMANDS, 1)
+    if near:
+        parser.error(f"argument COMMAND: invalid choice: '{command}'; did you mean '{near[0]}'?")
     parser.parse_args(words)
     return 2

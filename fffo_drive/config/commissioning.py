@@ -78,6 +78,9 @@ def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissione
         )
         refuse(path, [("commissioning", text)])
     file = beside(path, str(axis.commissioning))
+    if not file.exists():
+        text = f"{file} is not there: run fffo-drive commission {path}, which writes it, or give --uncommissioned"
+        refuse(path, [("commissioning", text)])
     record = read_record(file)
     again = AGAIN.format(path=path)
     differences = fact_differences(record, declared_facts(axis, model))

@@ -18,7 +18,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from .. import formats
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
-from ..documents import DocumentError, StrictRecord, check, parse, read_text, refuse
+from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..evaluation.campaign import Candidate, Case
 from ..evaluation.measures import Yardstick
@@ -168,6 +168,9 @@ def read_scenario(path: str | Path) -> Scenario:
     path = Path(path)
     data, lines = parse(read_text(path), str(path))
     file = check(data, ScenarioFile, str(path), lines)
+    if file.percent_of is not None and file.percent_of not in file.controllers:
+        hint = did_you_mean(file.percent_of, file.controllers)
+        refuse(path, [("percent_of", f"no controller is called '{file.percent_of}': {hint}")])
     axis_path = beside(path, file.axis)
     axis = read_axis(axis_path)
     model = model_of(axis_path, axis)

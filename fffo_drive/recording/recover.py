@@ -54,7 +54,9 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     part = target.with_name(target.name + RESCUE_SUFFIX)
     for taken in (target, part):
         if taken.exists():
-            raise FileExistsError(errno.EEXIST, "a file of this name exists and is not overwritten", str(taken))
+            raise FileExistsError(
+                errno.EEXIST, "a file of this name exists and is not overwritten: give another name", str(taken)
+            )
     with source.open("rb") as file:
         scanner = Scanner(file, str(source))
         rescue = _Rescue(source, part)

@@ -112,7 +112,9 @@ class RunWriter:
         for taken in (self.path, self.part_path):
             if taken.exists():
                 raise FileExistsError(
-                    errno.EEXIST, "a recording of this name exists and is not overwritten", str(taken)
+                    errno.EEXIST,
+                    "a recording of this name exists and is not overwritten: give another name",
+                    str(taken),
                 )
         self.rows_written = 0  # in chunks that the file holds
         self.rows_pending = 0  # in the chunk being filled

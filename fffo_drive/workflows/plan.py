@@ -24,7 +24,7 @@ from ..config.sections import ProfileSection, length_problems
 from ..config.session import session_config
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
-from ..documents import StrictRecord, load
+from ..documents import StrictRecord, check, parse, read_text, refuse
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
@@ -56,6 +56,15 @@ class ProfileFile(StrictRecord):
     profile: ProfileSection
 
 
+def read_profile_file(path: str | Path) -> ProfileFile:
+    """A profile in a file of its own. Raises DocumentError with every error in it."""
+    data, lines = parse(read_text(Path(path)), str(path))
+    if isinstance(data, dict) and "format" in data:
+        text = f"{data['format']} where a file with only a `profile:` section is needed: this is another kind of file"
+        refuse(path, [("format", text)])
+    return check(data, ProfileFile, str(path), lines)
+
+
 def make_plan(
     path: str | Path, toggles: tuple[int, ...] | None = None, decide: str | None = None,
     profile_file: str | Path | None = None,
@@ -71,7 +80,7 @@ def make_plan(
     if decide is not None:
         axis = axis.model_copy(update={"profile": deciding_section(axis, decide)})
     if profile_file is not None:
-        axis = axis.model_copy(update={"profile": load(profile_file, ProfileFile).profile})
+        axis = axis.model_copy(update={"profile": read_profile_file(profile_file).profile})
     return checked_plan(path, axis, model_of(path, axis), toggles, profile_file)
 
 

@@ -23,7 +23,9 @@ def claim(out: Path) -> None:
     except OSError as error:
         raise OSError(error.errno, f"no directory for recordings: {error.strerror}", str(out.parent)) from error
     if is_taken(out):
-        raise FileExistsError(errno.EEXIST, "a recording of this name exists and is not overwritten", str(out))
+        raise FileExistsError(
+            errno.EEXIST, "a recording of this name exists and is not overwritten: give another name", str(out)
+        )
 
 
 def recorder_hooks() -> RecorderHooks:

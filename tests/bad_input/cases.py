@@ -414,6 +414,11 @@ CASES = (
         (rf"{BUS_AXIS}:\d+: commissioning: .*never checked: run fffo-drive commission .*or give --uncommissioned",),
         visitors=(node(),),
     ),
+    Case(
+        "a commissioning record that is not there", ("run", BUS_AXIS, "--bus", "BUS"), 78,
+        (rf"{BUS_AXIS}:\d+: commissioning: none.yaml is not there: run fffo-drive commission {BUS_AXIS}, which",),
+        added(BUS_AXIS, "commissioning: none.yaml\n"), (node(),),
+    ),
     # the bus
     Case(
         "no answer on the bus", RUN_ON_BUS, 69,
@@ -510,6 +515,7 @@ CASES = (
     Case("unknown option", (*RUN, "--bass", "BUS"), 2, ("unrecognized arguments: --bass",)),
     Case("unknown toggle", (*RUN, "--toggle", "on"), 2, ("argument --toggle: invalid choice: 'on'",)),
     Case("unknown command", ("start",), 2, ("invalid choice: 'start'",)),
+    Case("a letter of a command out of place", ("indentify",), 2, ("'indentify'; did you mean 'identify'\\?",)),
 )  # fmt: skip
 
 

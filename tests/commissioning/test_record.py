@@ -206,7 +206,7 @@ def test_run_refuses_an_axis_on_a_bus_without_a_record(tmp_path, capsys):
     assert "fffo-drive commission" in said
     assert "--uncommissioned" in said
     assert main(["run", str(axis_file(tmp_path)), *words]) == 78
-    assert f"{NAME}: cannot be read" in capsys.readouterr().err
+    assert f"{NAME} is not there: run fffo-drive commission" in capsys.readouterr().err
     # told explicitly, it goes on to the bus
     assert main(["run", str(path), *words, "--uncommissioned"]) == 69
     assert granted(path, uncommissioned=True).note == "none: --uncommissioned was given"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,14 @@ def test_a_mistake_in_a_profile_file_is_named_with_its_line(tmp_path):
     wrong.write_text("profile:\n  kind: recipe\n  high_rpm: 14\n")
     with pytest.raises(DocumentError, match=r"profile\.yaml:3.*high_rpm"):
         make_plan(CONFIGS / "axis_simulated.yaml", profile_file=wrong)
+
+
+def test_an_axis_file_in_place_of_a_profile_is_named_as_such():
+    axis = CONFIGS / "axis_bench.yaml"
+    with pytest.raises(DocumentError) as error:
+        make_plan(CONFIGS / "axis_simulated.yaml", profile_file=axis)
+    (said,) = str(error.value).splitlines()  # not a line for each of its keys
+    assert re.search(r"axis_bench\.yaml:\d+: format: fffo_drive/axis/1 where a file with only a `profile:`", said)
 
 
 def test_the_short_profile_runs_each_speed_both_ways_for_as_long():

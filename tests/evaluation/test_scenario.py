@@ -122,6 +122,11 @@ def test_the_bench_runs_the_first_record_of_the_papers_scenario_with_its_laws():
         ("inertia_kg_m2: 1.2", "inertia: 1.2", "unknown number 'inertia'"),
         ("toggle: ff,", "toggle: on,", "controllers.pi+fffo+.toggle"),
         ("slope: 0}", "slope: 0, high_rps: 900}", "scenario.yaml:5: reference: peak of"),
+        (
+            "controllers:",
+            "percent_of: pi+ffo\ncontrollers:",
+            "percent_of: no controller is called 'pi+ffo': did you mean 'pi+fffo+'?",
+        ),
         ("kind: paper, duration_s: 4, slope: 0", CURRENT, "controllers are compared on a velocity"),
     ],
 )

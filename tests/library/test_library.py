@@ -78,6 +78,8 @@ def test_a_simulated_run_has_signals_with_units_and_the_metrics_of_its_error(sim
     page = simulated._repr_html_()
     assert "<svg" in page
     assert "<td>velocity_rps</td><td>rps</td>" in page
+    with pytest.raises(KeyError, match="no signal 'velocty_rps': did you mean 'velocity_rps'"):
+        simulated["velocty_rps"]
 
 
 def test_friction_forward_helps_and_a_seed_is_a_seed(simulated, short_profile):
