@@ -64,15 +64,17 @@ REST = FrictionState(0.0, 0.0, 0.0, 0.0)
 def steady_friction_nm(config: FrictionConfig, velocity_rps: float) -> float:
     """|S(w)|: magnitude of the steady-state friction torque at a constant velocity (>= Fc for the classical curve)."""
     speed = abs(velocity_rps)
-    ratio = speed / config.stribeck_velocity_rps
-    if ratio > STRIBECK_FLOOR:
-        stribeck = math.exp(-math.pow(ratio, config.stribeck_exponent))
-    elif config.stribeck_exponent > 0.0:
-        stribeck = 1.0
-    else:
-        stribeck = 0.0
+    share = stribeck_share(speed / config.stribeck_velocity_rps, config.stribeck_exponent)
     excess_nm = config.static_nm - config.coulomb_nm
-    return config.coulomb_nm + excess_nm * stribeck + config.viscous_nm_per_rps * speed
+    return config.coulomb_nm + excess_nm * share + config.viscous_nm_per_rps * speed
+
+
+@njit
+def stribeck_share(ratio: float, exponent: float) -> float:
+    """Share of Fs - Fc that acts at a speed of `ratio` Vs."""
+    if ratio > STRIBECK_FLOOR:
+        return math.exp(-math.pow(ratio, exponent))
+    return 1.0 if exponent > 0.0 else 0.0
 
 
 def least_sliding_nm(config: FrictionConfig, highest_rps: float) -> float:

@@ -6,7 +6,7 @@ import math
 
 from ...arrays import Floats
 from ...jit import njit
-from ..friction import PRESLIDING_OVER, torque_after
+from ..friction import PRESLIDING_OVER, stribeck_share, torque_after
 from . import slots as s
 
 TURN = 2.0 * math.pi
@@ -44,12 +44,8 @@ def settled(elapsed: float, length: float) -> float:
 @njit
 def steady_contact_nm(signals: Floats, speed_rps: float) -> float:
     """Level of the Stribeck curve at a speed, without its viscous part."""
-    ratio = speed_rps / signals[s.STRIBECK_VELOCITY_RPS]
-    exponent = signals[s.STRIBECK_EXPONENT]
-    falling = 1.0 if exponent > 0.0 else 0.0
-    if ratio > 1e-9:
-        falling = math.exp(-math.pow(ratio, exponent))
-    return float(signals[s.COULOMB_NM] + (signals[s.STATIC_NM] - signals[s.COULOMB_NM]) * falling)
+    share = stribeck_share(speed_rps / signals[s.STRIBECK_VELOCITY_RPS], signals[s.STRIBECK_EXPONENT])
+    return float(signals[s.COULOMB_NM] + (signals[s.STATIC_NM] - signals[s.COULOMB_NM]) * share)
 
 
 @njit
