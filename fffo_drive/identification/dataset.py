@@ -220,8 +220,7 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
     mode = np.asarray(run.column("mode"))
     active = np.flatnonzero(mode)
     if not active.size:
-        torn = f" ({run.reason})" if run.reason else ""
-        raise DataError(f"{run.path}: the loop never applied torque in this run{torn}")
+        raise DataError(run.lacks("the loop never applied torque in this run"))
     part = slice(int(active[0]), int(active[-1]) + 1)
     kept = {name: np.ascontiguousarray(values[part]) for name, values in columns.items()}
     if not (mode[part] == 1).any():

@@ -119,6 +119,10 @@ class Run:
             raise RecordingError(f"{self.path}: no column {name!r}: {did_you_mean(name, self.columns)}")
         return self.columns[name]
 
+    def lacks(self, text: str) -> str:
+        """The message that something is missing in it, with the tear that may be the cause."""
+        return f"{self.path}: {text}" + (f" ({self.reason})" if self.reason else "")
+
     @property
     def profile_samples(self) -> int | None:
         """Samples of the profile that ran; None if there were several (recording of a service), or if it is not
@@ -320,10 +324,8 @@ class _Collector:
 
 def _torn(path: Path, tear: str, rows: int) -> str:
     """What everybody says who reads a recording that is not whole."""
-    return (
-        f"{path} {tear}; {rows} rows, up to the last whole chunk, were read "
-        "(`fffo-drive log recover` makes a whole file of them)"
-    )
+    remedy = "; `fffo-drive log recover` makes a whole file of them" if rows else ""
+    return f"{path} {tear}; {rows} rows, up to the last whole chunk, were read{remedy}"
 
 
 def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Array, Array]:

@@ -111,7 +111,7 @@ def _profile_of(run: Run) -> tuple[Rows, int]:
         raise DocumentError(f"{run.path}: contains more than one profile: give recordings of one profile each")
     inside = run.rows[(sample >= 0) & (sample < samples)]
     if inside.size == 0 or "period_s" not in run.metadata:
-        raise DocumentError(f"{run.path}: contains no profile with the velocity loop closed")
+        raise DocumentError(run.lacks("contains no profile with the velocity loop closed"))
     return inside, samples
 
 

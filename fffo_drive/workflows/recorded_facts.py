@@ -73,7 +73,7 @@ def facts_in(run: Run) -> DriveFacts:
     try:
         axis, model = recorded_files(run)
     except DocumentError as error:
-        raise DocumentError(f"{run.path}: has no facts about its drive: give them with --drive FILE") from error
+        raise DocumentError(run.lacks("has no facts about its drive: give them with --drive FILE")) from error
     return DriveFacts.model_validate(facts_of_axis(axis, model))
 
 

@@ -97,4 +97,4 @@ def recorded_files(run: Run) -> tuple[AxisFile, ModelFile]:
             following = [path.name for path in paths[paths.index(chosen) + 1 :]]
             flat = axis.model_copy(update={"model": (following or [Path(axis.model).name])[0]})
             return axis, model_of(chosen, flat)
-    raise DocumentError(f"{run.path}: contains no axis file; give one with --with")
+    raise DocumentError(run.lacks("contains no axis file; give one with --with"))

@@ -16,6 +16,8 @@ from mcap.reader import make_reader
 from recording.samples import WALL_NS, random_rows, same_bits, write_run
 from rosbags.highlevel import AnyReader
 
+from fffo_drive.cli import main
+from fffo_drive.recording.container import MAGIC
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.events import Event, Level
 from fffo_drive.recording.reader import read_run
@@ -69,6 +71,20 @@ def test_cut_off_anywhere(sample, tmp_path):
     assert last == len(ROWS)
     path.write_bytes(whole)
     assert read_run(path).complete
+
+
+@pytest.mark.parametrize(
+    "words", [["replay"], ["identify", "--out", "new"], ["diagnose", "--out", "new", "--fit"], ["evaluate", "--runs"]]
+)
+@pytest.mark.parametrize("size", [0, 8])
+def test_what_a_torn_file_lacks_is_said_with_the_tear(words, size, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "torn.mcap"
+    path.write_bytes(MAGIC[:size])
+    assert main([*words, str(path)]) == 78
+    said = capsys.readouterr().err
+    assert f"torn.mcap ends at byte {size}" in said
+    assert "log recover" not in said  # there is nothing to recover
 
 
 @settings(max_examples=150)
