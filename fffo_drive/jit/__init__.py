@@ -3,18 +3,20 @@
 Kernels hold no GIL, allocate nothing (one that makes an array or a list does not compile), keep IEEE arithmetic (no
 fastmath: compiled and interpreted code agree bit for bit, so a replay is exact) and are cached in a directory that is
 named after the content of every file with a kernel in it. numba's own cache key knows only the file of the caller: an
-edited callee in another file would go unnoticed. A port of a user's own is keyed by the content of its file.
+edited callee in another file would go unnoticed. A port of a user's own is keyed by the content of its file, and a
+kernel from outside this package by that of all kernels in its folder.
 
 With NUMBA_DISABLE_JIT=1 the same functions run as plain Python.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -36,13 +38,24 @@ KEPT_CACHES = 4  # older cache directories are deleted: each edit of a kernel ma
 
 def kernel_digest() -> str:
     """Hash over every source file of the package that holds a kernel (16 hex digits)."""
+    return _digest(PACKAGE_DIRECTORY, PACKAGE_DIRECTORY.rglob("*.py"))
+
+
+def _digest(directory: Path, paths: Iterable[Path]) -> str:
+    """Hash over those of the files in a directory that hold a kernel (16 hex digits)."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(PACKAGE_DIRECTORY.rglob("*.py")):
+    for path in sorted(paths):
         content = path.read_bytes()
         if b"njit" in content:
-            digest.update(path.relative_to(PACKAGE_DIRECTORY).as_posix().encode())
+            digest.update(path.relative_to(directory).as_posix().encode())
             digest.update(content)
     return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _digest_beside(path: Path) -> str:
+    """Hash over the kernels in the folder of one from outside this package, which may call them; "" for one inside."""
+    return "" if PACKAGE_DIRECTORY in path.parents else _digest(path.parent, path.parent.glob("*.py"))
 
 
 def cache_root() -> Path:
@@ -119,7 +132,8 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         arguments = tuple(sig) if isinstance(sig, tuple) else sig.args
         origins = sorted({_origin(named_tuple) for named_tuple in _named_tuples(arguments)})
-        return (repr((arguments, origins)), *super()._index_key(sig, codegen)[1:])
+        beside = _digest_beside(Path(self._py_func.__code__.co_filename).resolve())
+        return (repr((arguments, origins, beside)), *super()._index_key(sig, codegen)[1:])
 
 
 @overload

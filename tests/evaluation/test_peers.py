@@ -9,20 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-
-from fffo_drive.config.scenario import Scenario, case_of, read_scenario
-from fffo_drive.control.controller import ControllerConfig
-from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_reference
-from fffo_drive.control.pi import PiConfig
-from fffo_drive.control.stability import LinearAxis, loop_margins
-from fffo_drive.evaluation.campaign import simulate
-from fffo_drive.evaluation.measures import START_S
-from fffo_drive.evaluation.peers import disturbance_observer as dob
-from fffo_drive.evaluation.peers.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
-from fffo_drive.evaluation.peers.design import observer_gains, observer_margins
-from fffo_drive.evaluation.peers.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
-from fffo_drive.evaluation.peers.laws import (
+from peer_laws import disturbance_observer as dob
+from peer_laws.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
+from peer_laws.design import observer_gains, observer_margins
+from peer_laws.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
+from peer_laws.laws import (
     OWN_LAWS,
     PLUS,
     AxisNumbers,
@@ -36,9 +27,18 @@ from fffo_drive.evaluation.peers.laws import (
     scaled,
     wrong,
 )
-from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
-from fffo_drive.evaluation.peers.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
-from fffo_drive.evaluation.peers.measures import NOT_FINITE, measure_peer
+from peer_laws.loop import PeerLaw, run_law
+from peer_laws.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
+from peer_laws.measures import NOT_FINITE, measure_peer
+from scipy.integrate import solve_ivp
+
+from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.control.controller import ControllerConfig
+from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_reference
+from fffo_drive.control.pi import PiConfig
+from fffo_drive.control.stability import LinearAxis, loop_margins
+from fffo_drive.evaluation.campaign import simulate
+from fffo_drive.evaluation.measures import START_S
 from fffo_drive.evaluation.trace import Trace, trace_of
 from fffo_drive.identification.tuning import Wish
 from fffo_drive.packing import pack

@@ -48,6 +48,32 @@ def test_programs_with_ports_of_one_name_share_the_cache(tmp_path: Path) -> None
     assert _run(one, cache) == [7, 0]  # the edited port is compiled again
 
 
+CALLER = """
+from callee import twice
+from fffo_drive.jit import njit
+@njit
+def four_times(value):
+    return twice(twice(value))
+print(four_times(1), sum(four_times.stats.cache_hits.values()))
+"""
+CALLEE = """
+from fffo_drive.jit import njit
+@njit
+def twice(value):
+    return {factor} * value
+"""
+
+
+def test_a_kernel_of_ones_own_notices_an_edited_callee_in_the_file_beside_it(tmp_path: Path) -> None:
+    caller, callee, cache = tmp_path / "caller.py", tmp_path / "callee.py", tmp_path / "cache"
+    caller.write_text(CALLER)
+    callee.write_text(CALLEE.format(factor=2))
+    assert _run(caller, cache) == [4, 0]
+    assert _run(caller, cache) == [4, 1]
+    callee.write_text(CALLEE.format(factor=3))
+    assert _run(caller, cache) == [9, 0]
+
+
 INDEX_READER = """
 import sys
 from pathlib import Path

@@ -17,17 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from common import commit, machine
-from scipy.stats import binomtest
-from trial_axes.passivity import comes_to_rest
-from trial_axes.random_axis import SPREAD, random_axis
-
-from fffo_drive.cli.progress import progress_bar
-from fffo_drive.config.scenario import Scenario, case_of, read_scenario
-from fffo_drive.drive.simulated.parameters import PlantConfig
-from fffo_drive.drive.simulated.surfaces import KINDS
-from fffo_drive.evaluation.campaign import Case
-from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
-from fffo_drive.evaluation.peers.laws import (
+from peer_laws.laws import (
     OWN_LAWS,
     PLUS,
     Models,
@@ -40,8 +30,18 @@ from fffo_drive.evaluation.peers.laws import (
     scaled,
     wrong,
 )
-from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
-from fffo_drive.evaluation.peers.measures import PeerMeasures, measure_peer
+from peer_laws.loop import PeerLaw, run_law
+from peer_laws.measures import PeerMeasures, measure_peer
+from scipy.stats import binomtest
+from trial_axes.passivity import comes_to_rest
+from trial_axes.random_axis import SPREAD, random_axis
+
+from fffo_drive.cli.progress import progress_bar
+from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.drive.simulated.parameters import PlantConfig
+from fffo_drive.drive.simulated.surfaces import KINDS
+from fffo_drive.evaluation.campaign import Case
+from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
 
 HERE = Path(__file__).resolve().parent
 SCENARIO = HERE.parents[1] / "configs" / "scenarios" / "paper.yaml"

@@ -1,7 +1,7 @@
 """Any law on the simulated drive in process: the loop's own tick without service traffic and without an envelope.
 
-Wake, SYNC, feedback, reference, law, command, as runtime/loop.py has them; this project's controller runs here bit for
-bit as it does there. The profile begins in the tick in which the drive says that it is enabled.
+Wake, SYNC, feedback, reference, law, command, as fffo_drive/runtime/loop.py has them; this project's controller runs
+here bit for bit as it does there. The profile begins in the tick in which the drive says that it is enabled.
 """
 
 from __future__ import annotations
@@ -10,24 +10,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import Floats
-from ...control.controller import (
+from fffo_drive.arrays import Floats
+from fffo_drive.control.controller import (
     ControllerConfig,
     controller_at_rest,
     controller_step,
     pack_controller,
     unpack_controller,
 )
-from ...control.feedforward import FeedforwardConfig, read_reference
-from ...control.reference import Profile
-from ...drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
-from ...drive.port import port_command, port_receive, port_sleep_until, port_sync
-from ...drive.simulated.in_process import SimulatedDrive
-from ...drive.simulated.parameters import DeviceConfig, PlantConfig
-from ...jit import njit
-from ...packing import pack
-from ...units import NS_PER_S
-from ..trace import Trace
+from fffo_drive.control.feedforward import FeedforwardConfig, read_reference
+from fffo_drive.control.reference import Profile
+from fffo_drive.drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
+from fffo_drive.drive.port import port_command, port_receive, port_sleep_until, port_sync
+from fffo_drive.drive.simulated.in_process import SimulatedDrive
+from fffo_drive.drive.simulated.parameters import DeviceConfig, PlantConfig
+from fffo_drive.evaluation.trace import Trace
+from fffo_drive.jit import njit
+from fffo_drive.packing import pack
+from fffo_drive.units import NS_PER_S
+
 from .constants import MEMORY_SLOTS
 from .disturbance_observer import ObserverLoop, observer_loop_step
 from .lugre import LugreConfig, lugre_step

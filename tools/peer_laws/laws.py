@@ -16,15 +16,16 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ...arrays import Floats
-from ...control.controller import ControllerConfig
-from ...control.pi import PiConfig
-from ...control.stability import LinearAxis, Margins, loop_margins
-from ...drive.simulated.parameters import PlantConfig, delay_budget
-from ...identification.tuning import Wish
-from ...model.friction import FrictionConfig
-from ...units import inertia_nm_s2_per_rev
-from ..campaign import Candidate
+from fffo_drive.arrays import Floats
+from fffo_drive.control.controller import ControllerConfig
+from fffo_drive.control.pi import PiConfig
+from fffo_drive.control.stability import LinearAxis, Margins, loop_margins
+from fffo_drive.drive.simulated.parameters import PlantConfig, delay_budget
+from fffo_drive.evaluation.campaign import Candidate
+from fffo_drive.identification.tuning import Wish
+from fffo_drive.model.friction import FrictionConfig
+from fffo_drive.units import inertia_nm_s2_per_rev
+
 from .constants import PeerConfig
 from .design import ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
