@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -13,6 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+
+QUIET_S = 10.0  # between two lines where there is no terminal
 
 
 @contextlib.contextmanager
@@ -26,16 +29,33 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float], N
     if quiet:
         yield None
         return
+    console = Console(stderr=True)
+    if not console.is_terminal:  # a log file, say: rich would print nothing before the end
+        yield _Spoken(text).tell
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=False) as progress:
+    with Progress(*columns, console=console, transient=False) as progress:
         task = progress.add_task(text, total=1.0)
         yield lambda share: progress.update(task, completed=share)
         progress.update(task, completed=1.0)
+
+
+class _Spoken:
+    """A line on stderr now and then."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.next_s = text, time.monotonic() + QUIET_S
+
+    def tell(self, share: float) -> None:
+        """The share done, if long enough nothing was said."""
+        if time.monotonic() >= self.next_s:
+            self.next_s = time.monotonic() + QUIET_S
+            print(f"{self.text}: {100.0 * share:.0f} % done", file=sys.stderr, flush=True)
 
 
 def _line(text: str, share: float) -> None:

@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
 
+from fffo_drive.cli import progress
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.documents import DocumentError
 from fffo_drive.workbench.actions import ACTIONS
@@ -47,6 +49,15 @@ def test_progress_is_reported_in_lines_that_are_no_output(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert all(line.startswith(LINE_MARK) for line in lines)
     assert [json.loads(line[len(LINE_MARK) :])["share"] for line in lines] == [0.0, 0.25, 1.0]
+
+
+def test_without_a_terminal_the_share_done_is_a_line_now_and_then(monkeypatch, capsys):
+    times = iter([0.0, 1.0, 11.0, 11.0, 12.0])
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(times)))
+    with progress_bar("diagnose") as tell:
+        for share in (0.1, 0.25, 0.3):
+            tell(share)
+    assert capsys.readouterr().err == "diagnose: 25 % done\n"
 
 
 ASKS = f"""
