@@ -51,6 +51,7 @@ def test_a_run_is_drawn_and_nobody_else_is_asked(served, page):
     assert "sine" in page.tab.text_content("#meaning")
     assert page.tab.text_content("#axis") == "bench"
     assert float(page.tab.text_content("#rms")) > 0.0
+    assert page.js("Chart.prototype.yShown.call({}, 0, 0)") == [-1, 1]  # a friction estimate that is off
     assert page.js("document.querySelectorAll('#histogram tr:not([hidden])').length") > 0
     assert "running" in page.tab.text_content("#events")
     own = served.url.rstrip("/")

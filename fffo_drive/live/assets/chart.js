@@ -125,6 +125,7 @@ class Chart {
   yShown(low, high) {
     if (this.yRange) return this.yRange;
     if (low == null || high == null) return this.log ? [1e-3, 1] : [0, 1];
+    if (low === 0 && high === 0 && !this.log) return [-1, 1]; // uPlot would show 0 to 100
     return this.log ? uPlot.rangeLog(low, high, 10, false) : uPlot.rangeNum(low, high, 0.1, true);
   }
 
