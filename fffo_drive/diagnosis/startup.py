@@ -88,7 +88,7 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
     coulomb = max(coulomb, LEAST_LEVEL * size)
     start = TorqueStart(
         inertia, max(viscous, 1e-3 * coulomb / top), coulomb, coulomb + min(max(excess, 0.02 * coulomb), 4.0 * coulomb),
-        speed, 1.0, delay_s, float(np.sqrt(best.cost)) / size, used.size, 0.0, float(best.values[3]),
+        speed, 1.0, delay_s, 0.0, float(best.values[3]),
     )  # fmt: skip
     return start, best.level
 

@@ -43,8 +43,6 @@ class TorqueStart(NamedTuple):
     stribeck_velocity_rps: float
     stribeck_exponent: float
     delay_s: float
-    relative_error: float  # of torque, sliding only
-    rows: int
     sliding_travel_rev: float
     constant_nm: float  # 0 if the axis turns one way only
     most_friction_nm: float = math.inf  # that acted in the logs, stuck or sliding, without its viscous part
@@ -92,9 +90,8 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
     if not np.isfinite(best[0]):
         solution, cost = _solve(rows)
         best = (cost, 0.1 * high, 1.0, np.insert(solution, CONSTANT, 0.1 * abs(solution[2])))
-    cost, velocity, exponent = best[:3]
+    velocity, exponent = best[1:3]
     inertia, viscous, coulomb, excess, constant = (float(value) for value in best[3])
-    energy = float(torque_nm @ torque_nm)
     coulomb = max(coulomb, 1e-3 * float(np.abs(torque_nm).mean()))
     viscous = max(viscous, 1e-3 * coulomb / high)
     static = coulomb + min(max(excess, 0.02 * coulomb), 6.0 * coulomb)
@@ -107,8 +104,6 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
         velocity,
         exponent,
         delay_s,
-        float(np.sqrt(cost / energy)),
-        torque_nm.size,
         travel_rev,
         constant,
         max(static, float(np.abs(friction).max())),

@@ -75,7 +75,6 @@ class RunLook(NamedTuple):
     turns_one_way: bool
     rows: int
     condition: float  # of the scaled normal matrix
-    left_share: float  # residual of the rigid regression, as a share of the torque's rms
 
 
 class Remark(NamedTuple):
@@ -137,7 +136,7 @@ def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
     one_way = turns_one_way(rows.direction[own])
     count = int(np.count_nonzero(own))
     if count < LEAST_ROWS:
-        return RunLook(record.name, record.begin_s, {}, one_way, count, np.inf, 1.0)
+        return RunLook(record.name, record.begin_s, {}, one_way, count, np.inf)
     columns, torque_nm = rigid_columns(rows)[own], rows.torque_nm[own]
     norm = np.linalg.norm(columns, axis=0)
     norm[norm == 0.0] = 1.0
@@ -165,7 +164,7 @@ def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
         for k, name in enumerate(PARAMETERS)
     }
     condition = float(curvature[-1] / max(curvature[0], 1e-12))
-    return RunLook(record.name, record.begin_s, estimates, one_way, count, condition, left)
+    return RunLook(record.name, record.begin_s, estimates, one_way, count, condition)
 
 
 def _acceleration_noise_rps2(record: Record, cutoff_hz: float) -> float:

@@ -38,7 +38,6 @@ _PTR = ctypes.c_size_t
 _recv = _declare("recv", ctypes.c_ssize_t, ctypes.c_int, _PTR, ctypes.c_size_t, ctypes.c_int)
 _send = _declare("send", ctypes.c_ssize_t, ctypes.c_int, _PTR, ctypes.c_size_t, ctypes.c_int)
 _ppoll = _declare("ppoll", ctypes.c_int, _PTR, ctypes.c_ulong, _PTR, _PTR)
-_clock_gettime = _declare("clock_gettime", ctypes.c_int, ctypes.c_int, _PTR)
 _clock_nanosleep = _declare("clock_nanosleep", ctypes.c_int, ctypes.c_int, ctypes.c_int, _PTR, _PTR)
 
 _x_recv = types.ExternalFunction("recv", types.intp(types.intc, types.uintp, types.uintp, types.intc))

@@ -175,10 +175,6 @@ class ModelFile(StrictRecord):
         inertia = units.inertia_nm_s2_per_rev(self.inertia_kg_m2.value)
         return AxisConfig(inertia, self.torque_constant_nm_per_a, self.delay_s.value, self.friction_config())
 
-    def effect_terms(self) -> list[Term]:
-        """The effects as the kernels take them."""
-        return [effect.term() for effect in self.effects]
-
 
 def _content(model: ModelFile, exclude_none: bool) -> dict[str, Any]:
     """The model as it is written and hashed: `effects` only if there are any, each with its curve or its parameters."""

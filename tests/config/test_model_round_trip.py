@@ -124,7 +124,7 @@ def test_a_found_effect_is_read_by_all_that_use_a_model(name, found, form, tmp_p
         write_model(path, model)
         again = read_model(path)
         assert effect_errors(again.effects) == []
-        parameters = effect_table(again.effect_terms(), again.axis_config(), 5e-4).parameters
+        parameters = effect_table([effect.term() for effect in again.effects], again.axis_config(), 5e-4).parameters
         for row, values, effect in zip(parameters, some, again.effects, strict=True):
             vector = vector_of(name, values)
             assert row[: len(vector)] == pytest.approx(vector, rel=1e-14, abs=0.0)

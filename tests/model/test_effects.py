@@ -331,8 +331,12 @@ def test_a_model_file_carries_its_effects_and_they_are_in_its_hash(tmp_path, tab
     loaded = with_cogging(plain)
     write_model(tmp_path / "model.yaml", loaded)
     again = read_model(tmp_path / "model.yaml")
-    assert again.effect_terms() == [Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.0, "order": 6.0})]
-    assert effect_table(again.effect_terms(), again.axis_config(), STEP_S).addresses.shape == (1,)
+    assert [effect.term() for effect in again.effects] == [
+        Term("cogging", {"cos_nm": 0.004, "sin_nm": 0.0, "order": 6.0})
+    ]
+    assert effect_table([effect.term() for effect in again.effects], again.axis_config(), STEP_S).addresses.shape == (
+        1,
+    )
     assert len({content_hash(plain), content_hash(loaded), content_hash(with_cogging(plain, 7.0))}) == 3
     write_model(tmp_path / "plain.yaml", plain)
     assert "effects" not in (tmp_path / "plain.yaml").read_text()

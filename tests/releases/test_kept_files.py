@@ -112,7 +112,7 @@ def test_curves_with_one_key_a_number_and_a_window_without_the_shapes_that_are_o
     model = read_model(FIRST / "model_with_curves.yaml")
     assert model.content_hash == content_hash(model)
     places_rev, speeds_rps = np.array([0.0, 0.3, 0.6, 1.0]), np.array([0.1, 4.0])
-    friction, table, window = model.effect_terms()
+    friction, table, window = (effect.term() for effect in model.effects)
     again = [effect_model(term.name, term.values, {}) for term in (friction, table)]
     assert again[0].curve == CurveModel(
         kind="friction", unit="Nm", scale=1.0, knots=places_rev.tolist(), values=[0.001, -0.0025, 0.004, 0.001]

@@ -338,10 +338,10 @@ def test_each_run_stands_by_itself_and_what_it_does_not_say_is_not_a_number():
         sure = Estimate(0.003, 0.0001, True, 1.0)
         estimates = dict.fromkeys(PARAMETERS, sure) | {"inertia_nm_s2_per_rev": Estimate(inertia, 2e-5, True, 1.0)}
         estimates["offset_nm"] = sure._replace(determined=not one_way)
-        return RunLook(name, 0.0, estimates, one_way, 4000, 3.0, 0.1)
+        return RunLook(name, 0.0, estimates, one_way, 4000, 3.0)
 
     remark = Remark("contradiction", ("inertia_nm_s2_per_rev",), ("a", "b"), "a and b contradict each other")
-    looks = RunsLook((look("a", 1e-3, False), look("b", 2e-3, True), RunLook("c", 0.0, {}, True, 3, 1e9, 1.0)),
+    looks = RunsLook((look("a", 1e-3, False), look("b", 2e-3, True), RunLook("c", 0.0, {}, True, 3, 1e9)),
                      (remark,), 0.001)  # fmt: skip
     tables = {t.name: t for t in diagnosis_report(SOURCE, diagnosis(runs_look=looks)).tables}
     a, b, c = tables["runs"].rows
