@@ -1,6 +1,7 @@
 """Compare controllers: over many seeds on the simulated drive in process, on recorded runs, or on a bus.
 
   fffo-drive evaluate configs/scenarios/paper.yaml --controllers pi,pi+fffo --out DIR
+  fffo-drive evaluate SCENARIO --peers         published laws as well, tuned to the margins of pi+fffo+
   fffo-drive evaluate --runs pi.mcap pi_fffo.mcap --out DIR
   fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus, in real time, one run after another
 
@@ -38,7 +39,7 @@ from ..report.evaluate import METRICS, EvaluationSource, evaluation_report
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError
-from ..workflows.evaluate import narrowed, run_seeds
+from ..workflows.evaluate import narrowed, run_published, run_seeds
 from ..workflows.evaluate_live import evaluate_on_bus, evaluate_recordings
 from .progress import progress_bar
 
@@ -67,6 +68,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--runs", nargs="+", metavar="FILE", help="evaluate recordings (.mcap) instead of running")
     source.add_argument(
         "--bus", nargs="?", const="", metavar="BUS", help="run on a bus in real time (default: the axis file's bus)"
+    )
+    source.add_argument(
+        "--peers",
+        action="store_true",
+        help="run published laws as well (LuGre, generalised Maxwell slip, disturbance and extended state observer)",
     )
     parser.add_argument("--node", metavar="FILE", help="with --bus: start this simulated drive on the bus")
     parser.add_argument(
@@ -118,6 +124,8 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
 def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
     file = scenario.file
+    cautions = law_cautions(scenario)
+    names = list(file.controllers)
     bar = partial(progress_bar, quiet=options.json)
     if options.bus is not None:
         own_node = options.node is not None  # a simulated drive of the scenario's own needs no commissioning
@@ -129,15 +137,32 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
     else:
         with bar(f"{file.name:8}") as progress:
             evaluations = run_seeds(scenario, options.workers, progress)
+        if options.peers:
+            with bar("published laws") as progress:
+                published, left = run_published(scenario, options.workers, progress)
+            evaluations += published
+            names += dict.fromkeys(one.candidate for one in published)
+            cautions = [*cautions, _of_published(left)]
         where = "on the simulated drive in process"
     return Compared(
         f"Evaluation of {file.name}",
-        f"{', '.join(file.controllers)} {where}, {file.seeds} seeds.",
+        f"{', '.join(names)} {where}, {file.seeds} seeds.",
         evaluations,
         yardstick_of(file),
         file.percent_of,
-        law_cautions(scenario),
+        cautions,
         [source_file(path.name, path.read_bytes(), text=True) for path in (scenario.path, scenario.axis_path)],
+    )
+
+
+def _of_published(left: Sequence[float]) -> str:
+    shares = ", ".join(
+        f"{name} {100.0 * share:.0f} %" for name, share in zip(("2SEP", "LuGre", "GMS"), left, strict=True)
+    )
+    return (
+        "The published laws have the gains, inertia torque and preview of pi+fffo+, and run without the envelope. "
+        "Their friction models are fitted to one run on the same simulated axis, and then made as wrong as the "
+        f"scenario says; what the fit leaves of the friction: {shares}."
     )
 
 

@@ -9,11 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from peer_laws import disturbance_observer as dob
-from peer_laws.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
-from peer_laws.design import observer_gains, observer_margins
-from peer_laws.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
-from peer_laws.laws import (
+from scipy.integrate import solve_ivp
+
+from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.control.controller import ControllerConfig
+from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_reference
+from fffo_drive.control.pi import PiConfig
+from fffo_drive.control.stability import LinearAxis, loop_margins
+from fffo_drive.documents import DocumentError
+from fffo_drive.evaluation.campaign import simulate
+from fffo_drive.evaluation.measures import START_S
+from fffo_drive.evaluation.peers import disturbance_observer as dob
+from fffo_drive.evaluation.peers.campaign import plus_of, run_peers
+from fffo_drive.evaluation.peers.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
+from fffo_drive.evaluation.peers.design import observer_gains, observer_margins
+from fffo_drive.evaluation.peers.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
+from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
     PLUS,
     AxisNumbers,
@@ -23,25 +34,18 @@ from peer_laws.laws import (
     axis_numbers,
     design_for,
     error_filter_s,
+    known_numbers,
     laws_of,
     scaled,
     wrong,
 )
-from peer_laws.loop import PeerLaw, run_law
-from peer_laws.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
-from peer_laws.measures import NOT_FINITE, measure_peer
-from scipy.integrate import solve_ivp
-
-from fffo_drive.config.scenario import Scenario, case_of, read_scenario
-from fffo_drive.control.controller import ControllerConfig
-from fffo_drive.control.feedforward import FeedforwardConfig, Reference, steady_reference
-from fffo_drive.control.pi import PiConfig
-from fffo_drive.control.stability import LinearAxis, loop_margins
-from fffo_drive.evaluation.campaign import simulate
-from fffo_drive.evaluation.measures import START_S
+from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
+from fffo_drive.evaluation.peers.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
+from fffo_drive.evaluation.peers.measures import NOT_FINITE, measure_peer
 from fffo_drive.evaluation.trace import Trace, trace_of
 from fffo_drive.identification.tuning import Wish
 from fffo_drive.packing import pack
+from fffo_drive.workflows.evaluate import narrowed, run_published
 
 PAPER = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.yaml"
 PERIOD_S = 0.0005
@@ -65,7 +69,8 @@ def short() -> Scenario:
 @pytest.fixture(scope="module")
 def design(short: Scenario) -> PeerDesign:
     case = case_of(short, 1)
-    return design_for(next(c.controller for c in case.candidates if c.name == PLUS), case.plant)
+    plus = next(c.controller for c in case.candidates if c.name == PLUS)
+    return design_for(plus, axis_numbers(case.plant), case.plant.friction.viscous_nm_per_rps)
 
 
 @pytest.mark.parametrize("name", [*OWN_LAWS, "pi+fbfo"])
@@ -278,6 +283,45 @@ def test_an_axis_is_known_by_its_inertia_constant_and_whole_delay(short):
     assert numbers.delay_s == pytest.approx(0.003)
     assert numbers.inertia_nm_s2_per_rev == pytest.approx(2.0 * math.pi * 1.5e-4)
     assert numbers.sensor_delay_s == pytest.approx(0.0007, abs=2e-5)
+
+
+def test_pi_fffo_plus_knows_its_axis_as_it_is(short):
+    case = case_of(short, 1)
+    known, true = known_numbers(plus_of(case).controller), axis_numbers(case.plant)
+    assert tuple(known[:3]) == pytest.approx(tuple(true[:3]), rel=5e-3)
+    assert known.sensor_delay_s == pytest.approx(true.sensor_delay_s, abs=2e-5)
+
+
+def test_errors_of_the_models_have_the_sign_that_is_given_and_else_the_seeds():
+    high = wrong(MODELS, 0.1, 3, 1.0)
+    assert all(
+        getattr(after, name) == pytest.approx(1.1 * getattr(before, name))
+        for before, after in zip(MODELS, high, strict=True)
+        for name in before._fields
+        if name != "omega_form"
+    )
+    assert wrong(MODELS, 0.1, 3) != wrong(MODELS, 0.1, 4)
+    assert wrong(MODELS, 0.0, 3) == MODELS
+
+
+def test_published_laws_are_run_beside_those_of_a_scenario_and_as_the_benchmark_runs_them(short, design):
+    """The same axis, noise and reference: with the same model, `2sep observer+` errs as much as in the benchmark."""
+    case = case_of(short, 2)
+    found = {one.candidate: one for one in run_peers(case, MODELS, 0.0, None)}
+    assert list(found) == ["2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+"]
+    assert all(one.seed == 2 and one.fault_text is None for one in found.values())
+    law = next(one for one in laws_of(case.candidates, design, design.nominal, MODELS) if one.name == "2sep observer+")
+    trace = run_law(case.plant, case.device, law, case.profile).trace
+    measures = found["2sep observer+"].measures
+    assert measures is not None
+    assert measures.true is not None
+    assert measures.true.error.ise == pytest.approx(measure_peer(trace).true_ise, rel=0.2)  # J is 0.4 % off
+
+
+def test_a_scenario_without_pi_fffo_plus_has_no_published_laws_beside_it(short):
+    alone = narrowed(short, ["pi", "pi+fffo"], 1)
+    with pytest.raises(DocumentError, match=r"paper.yaml: no controller pi\+fffo\+ with inertia torque"):
+        run_published(alone, 1)
 
 
 def sine_trace(late_s: float) -> Trace:

@@ -17,21 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from common import commit, machine
-from peer_laws.laws import (
-    OWN_LAWS,
-    PLUS,
-    Models,
-    PeerDesign,
-    Scale,
-    axis_numbers,
-    design_for,
-    fit_models,
-    laws_of,
-    scaled,
-    wrong,
-)
-from peer_laws.loop import PeerLaw, run_law
-from peer_laws.measures import PeerMeasures, measure_peer
 from scipy.stats import binomtest
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import SPREAD, random_axis
@@ -42,6 +27,21 @@ from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.drive.simulated.surfaces import KINDS
 from fffo_drive.evaluation.campaign import Case
 from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
+from fffo_drive.evaluation.peers.campaign import FIT_SEED, fitted_models
+from fffo_drive.evaluation.peers.laws import (
+    OWN_LAWS,
+    PLUS,
+    Models,
+    PeerDesign,
+    Scale,
+    axis_numbers,
+    design_for,
+    laws_of,
+    scaled,
+    wrong,
+)
+from fffo_drive.evaluation.peers.loop import run_law
+from fffo_drive.evaluation.peers.measures import PeerMeasures, measure_peer
 
 HERE = Path(__file__).resolve().parent
 SCENARIO = HERE.parents[1] / "configs" / "scenarios" / "paper.yaml"
@@ -49,7 +49,6 @@ SLOPES = (0.0, -0.5)
 SEEDS, AXES = 6, 60
 AXIS_RECORD_S = 20.0  # of the reference on a random axis
 AXIS_FIRST_SEED = 5000  # of the reference's phases there; the paper's scenario has small seeds
-FIT_SEED = 1000  # of the record that all models are fitted to; no seed that is evaluated
 MISMATCH = 0.1  # of every friction number, as in paper_wrong_friction.yaml
 LEVEL = 0.95
 TITLES = dict(zip(KINDS, ("five surfaces", "2SEP", "LuGre", "GMS"), strict=True))
@@ -87,11 +86,7 @@ def ground_of(scenario: Scenario, kind: str, record_s: float | None) -> Ground:
     """The nominal plant of a kind, and all models fitted to a run on it that follows the reference."""
     case = case_of(with_reference(scenario, 0.0, record_s), FIT_SEED)
     plant = replace(case.plant, friction=replace(case.plant.friction, kind=kind))
-    follower = next(one for one in case.candidates if one.name == PLUS)
-    ran = run_law(plant, case.device, PeerLaw(PLUS, follower.controller, follower.toggle), case.profile)
-    assert ran.trace.true_rps is not None
-    models, left = fit_models(ran.trace.true_rps, ran.friction_nm, case.profile.period_s)
-    return Ground(plant, models, left)
+    return Ground(plant, *fitted_models(case._replace(plant=plant)))
 
 
 def run_all(case: Case, plant: PlantConfig, design: PeerDesign, models: Models) -> dict[str, PeerMeasures]:
@@ -255,7 +250,7 @@ def compare(sizes: Sizes, shown: bool) -> tuple[list[str], dict[str, object]]:
     scenario = read_scenario(SCENARIO)
     case = case_of(scenario, FIT_SEED)
     plus = next(one.controller for one in case.candidates if one.name == PLUS)
-    design = design_for(plus, case.plant)
+    design = design_for(plus, axis_numbers(case.plant), case.plant.friction.viscous_nm_per_rps)
     grounds = {kind: ground_of(scenario, kind, sizes.record_s) for kind in KINDS}
     lines = ["## Gains", "", *design_table(design), "## Models", "", *fit_table(grounds)]
     facts: dict[str, object] = {

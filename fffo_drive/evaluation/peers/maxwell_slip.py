@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fffo_drive.arrays import Floats
-from fffo_drive.control.feedforward import Reference
-from fffo_drive.jit import njit
-from fffo_drive.packing import reader
-
+from ...arrays import Floats
+from ...control.feedforward import Reference
+from ...jit import njit
+from ...packing import reader
 from .constants import OWN, PeerConfig, command_for, filtered_error
 from .lugre import stribeck_nm
 

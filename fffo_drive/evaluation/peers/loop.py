@@ -10,25 +10,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fffo_drive.arrays import Floats
-from fffo_drive.control.controller import (
+from ...arrays import Floats
+from ...control.controller import (
     ControllerConfig,
     controller_at_rest,
     controller_step,
     pack_controller,
     unpack_controller,
 )
-from fffo_drive.control.feedforward import FeedforwardConfig, read_reference
-from fffo_drive.control.reference import Profile
-from fffo_drive.drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
-from fffo_drive.drive.port import port_command, port_receive, port_sleep_until, port_sync
-from fffo_drive.drive.simulated.in_process import SimulatedDrive
-from fffo_drive.drive.simulated.parameters import DeviceConfig, PlantConfig
-from fffo_drive.evaluation.trace import Trace
-from fffo_drive.jit import njit
-from fffo_drive.packing import pack
-from fffo_drive.units import NS_PER_S
-
+from ...control.feedforward import FeedforwardConfig, read_reference
+from ...control.reference import Profile
+from ...drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
+from ...drive.port import port_command, port_receive, port_sleep_until, port_sync
+from ...drive.simulated.in_process import SimulatedDrive
+from ...drive.simulated.parameters import DeviceConfig, PlantConfig
+from ...jit import njit
+from ...packing import pack
+from ...units import NS_PER_S
+from ..trace import Trace
 from .constants import MEMORY_SLOTS
 from .disturbance_observer import ObserverLoop, observer_loop_step
 from .lugre import LugreConfig, lugre_step

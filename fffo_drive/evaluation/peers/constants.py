@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fffo_drive.arrays import Floats
-from fffo_drive.control.feedforward import FeedforwardConfig, Reference
-from fffo_drive.control.pi import PiConfig, pi_step
-from fffo_drive.jit import njit
+from ...arrays import Floats
+from ...control.feedforward import FeedforwardConfig, Reference
+from ...control.pi import PiConfig, pi_step
+from ...jit import njit
 
 INTEGRAL_A = 0
 ERROR_RPS = 1  # filtered

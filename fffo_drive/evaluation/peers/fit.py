@@ -14,10 +14,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from scipy.optimize import least_squares
 
-from fffo_drive.arrays import Floats
-from fffo_drive.jit import njit
-from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
-
+from ...arrays import Floats
+from ...jit import njit
+from ...model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
 from .constants import MEMORY_SLOTS
 from .lugre import LugreModel, lugre_torque
 from .maxwell_slip import SlipModel, slip_torque

@@ -12,11 +12,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fffo_drive.arrays import Floats
-from fffo_drive.control.feedforward import Reference, read_samples
-from fffo_drive.jit import njit
-from fffo_drive.packing import reader
-
+from ...arrays import Floats
+from ...control.feedforward import Reference, read_samples
+from ...jit import njit
+from ...packing import reader
 from .constants import MEMORY_SLOTS, OWN, PeerConfig, command_for, filtered_error
 
 FIRST_NM = OWN  # estimate through the first low-pass

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fffo_drive.evaluation.measures import START_S
-from fffo_drive.evaluation.metrics import error_metrics
-from fffo_drive.evaluation.reversal import find_reversals, magnitude_at, reversal_lag
-from fffo_drive.evaluation.trace import Trace
+from ..measures import START_S
+from ..metrics import error_metrics
+from ..reversal import find_reversals, magnitude_at, reversal_lag
+from ..trace import Trace
 
 
 class PeerMeasures(NamedTuple):

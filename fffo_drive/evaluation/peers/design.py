@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fffo_drive.control.stability import LinearAxis, Margins, margins_of, sweep_rad_per_s
-from fffo_drive.identification.tuning import Wish, largest_that
+from ...control.stability import LinearAxis, Margins, margins_of, sweep_rad_per_s
+from ...identification.tuning import Wish, largest_that
 
 SLOWEST_SHARE = 0.02  # of the crossover at which the delay takes 90 deg
 CROSSOVERS = 25

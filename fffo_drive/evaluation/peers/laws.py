@@ -16,16 +16,15 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from fffo_drive.arrays import Floats
-from fffo_drive.control.controller import ControllerConfig
-from fffo_drive.control.pi import PiConfig
-from fffo_drive.control.stability import LinearAxis, Margins, loop_margins
-from fffo_drive.drive.simulated.parameters import PlantConfig, delay_budget
-from fffo_drive.evaluation.campaign import Candidate
-from fffo_drive.identification.tuning import Wish
-from fffo_drive.model.friction import FrictionConfig
-from fffo_drive.units import inertia_nm_s2_per_rev
-
+from ...arrays import Floats
+from ...control.controller import ControllerConfig
+from ...control.pi import PiConfig
+from ...control.stability import LinearAxis, Margins, loop_margins
+from ...drive.simulated.parameters import PlantConfig, delay_budget
+from ...identification.tuning import Wish
+from ...model.friction import FrictionConfig
+from ...units import inertia_nm_s2_per_rev
+from ..campaign import Candidate
 from .constants import PeerConfig
 from .design import ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
@@ -118,11 +117,15 @@ def scaled(models: Models, scale: Scale) -> Models:
     )
 
 
-def wrong(models: Models, share: float, seed: int) -> Models:
-    """Each parameter of each model changed by `share`; the seed gives the signs, the same for equal names."""
+def wrong(models: Models, share: float, seed: int, sign: float | None = None) -> Models:
+    """Each parameter of each model changed by `share`; the seed draws the signs, the same for equal names, where none
+    is given.
+    """
     names = sorted({name for model in models for name in model._fields if name != "omega_form"})
     drawn = np.random.default_rng([seed, 0xF]).choice((-1.0, 1.0), len(names))
-    factors = {name: 1.0 + share * float(sign) for name, sign in zip(names, drawn, strict=True)}
+    factors = {
+        name: 1.0 + share * (float(own) if sign is None else sign) for name, own in zip(names, drawn, strict=True)
+    }
 
     def changed(model: Model) -> Model:
         return model._replace(**{n: factors[n] * getattr(model, n) for n in model._fields if n in factors})
@@ -135,12 +138,23 @@ def error_filter_s(config: ControllerConfig) -> float:
     return -config.period_s / math.log1p(-config.error_share) if config.error_share < 1.0 else 0.0
 
 
-def design_for(plus: ControllerConfig, plant: PlantConfig) -> PeerDesign:
-    """Gains of the disturbance observers with the margins of PI+FFFO+ on this plant."""
-    numbers = axis_numbers(plant)
+def known_numbers(plus: ControllerConfig) -> AxisNumbers:
+    """What PI+FFFO+ with inertia torque and preview takes its axis to be."""
+    shifts = plus.feedforward
+    sensor_s = shifts.behind_ticks * plus.period_s
+    return AxisNumbers(
+        shifts.inertia_nm_s2_per_rev,
+        plus.torque_constant_nm_per_a,
+        shifts.ahead_ticks * plus.period_s + sensor_s,
+        sensor_s,
+    )
+
+
+def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps: float) -> PeerDesign:
+    """Gains of the disturbance observers with the margins of PI+FFFO+ on this axis. ValueError: none has them."""
     axis = LinearAxis(
         numbers.inertia_nm_s2_per_rev,
-        plant.friction.viscous_nm_per_rps,
+        viscous_nm_per_rps,
         numbers.delay_s,
         numbers.torque_constant_nm_per_a,
     )
@@ -153,6 +167,13 @@ def design_for(plus: ControllerConfig, plant: PlantConfig) -> PeerDesign:
     return PeerDesign(numbers, margins, disturbance, extended)
 
 
+def with_friction(config: ControllerConfig, friction: FrictionConfig) -> ControllerConfig:
+    """A law of this project with another friction model; the bound of its estimate follows."""
+    observer = config.observer
+    clamp_nm = observer.clamp_nm * friction.static_nm / observer.friction.static_nm
+    return config._replace(observer=observer._replace(friction=friction, clamp_nm=clamp_nm))
+
+
 def tuned_to(
     config: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
 ) -> ControllerConfig:
@@ -160,8 +181,8 @@ def tuned_to(
     inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
     current_ratio = inertia_ratio * design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
     faster = design.nominal.delay_s / axis.delay_s
+    config = with_friction(config, friction)
     observer = config.observer
-    clamp_nm = observer.clamp_nm * friction.static_nm / observer.friction.static_nm
     shifts = config.feedforward
     ahead_ticks = (axis.delay_s - axis.sensor_delay_s) / config.period_s
     behind_ticks = axis.sensor_delay_s / config.period_s
@@ -170,9 +191,7 @@ def tuned_to(
             config.pi.proportional_a_per_rps * current_ratio * faster,
             config.pi.integral_a_per_rev * current_ratio * faster**2,
         ),
-        observer=observer._replace(
-            friction=friction, clamp_nm=clamp_nm, gain_nm_per_rev=observer.gain_nm_per_rev * inertia_ratio * faster**2
-        ),
+        observer=observer._replace(gain_nm_per_rev=observer.gain_nm_per_rev * inertia_ratio * faster**2),
         feedforward=shifts._replace(
             inertia_nm_s2_per_rev=axis.inertia_nm_s2_per_rev if shifts.inertia_nm_s2_per_rev else 0.0,
             ahead_ticks=ahead_ticks if shifts.ahead_ticks else 0.0,
@@ -191,6 +210,13 @@ def laws_of(candidates: Sequence[Candidate], design: PeerDesign, axis: AxisNumbe
     ]
     plus = own[-1].config
     assert isinstance(plus, ControllerConfig)
+    return [*own, *peers_of(plus, own[-1].toggle, design, axis, models)]
+
+
+def peers_of(
+    plus: ControllerConfig, toggle: int, design: PeerDesign, axis: AxisNumbers, models: Models
+) -> list[PeerLaw]:
+    """The published laws with the gains, inertia torque, preview and error filter of PI+FFFO+."""
     gain = plus.observer.gain_nm_per_rev
     peer = PeerConfig(
         plus.pi,
@@ -204,8 +230,7 @@ def laws_of(candidates: Sequence[Candidate], design: PeerDesign, axis: AxisNumbe
     learning = peer._replace(pi=plus.pi._replace(integral_a_per_rev=integral))
     in_friction = plus._replace(observer=plus.observer._replace(learns_in_integral=False))
     return [
-        *own,
-        PeerLaw("2sep observer+", in_friction, own[-1].toggle),
+        PeerLaw("2sep observer+", in_friction, toggle),
         PeerLaw("lugre observer+", LugreConfig(peer, models.lugre, gain)),
         PeerLaw("lugre forward+", LugreConfig(learning, models.lugre, 0.0)),
         PeerLaw("gms forward+", SlipConfig(learning, models.slip)),

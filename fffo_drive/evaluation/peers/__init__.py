@@ -1,0 +1,1 @@
+"""Published laws that the controller is compared with: friction and disturbance observers."""

@@ -1,0 +1,65 @@
+"""Published laws beside the controllers of a scenario: the same seeds and references, margins, and errors of the model.
+
+They share the gains, inertia torque, preview and error filter of PI+FFFO+ as the scenario has it. Their friction models
+are fitted to a run on the same simulated axis.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ..campaign import Candidate, Case, Evaluation, evaluation_of
+from .laws import PLUS, Models, design_for, fit_models, known_numbers, peers_of, with_friction, wrong
+from .loop import PeerLaw, run_law
+
+FIT_SEED = 1000  # of the record that the models are fitted to; no seed that is evaluated
+
+
+class FittedModels(NamedTuple):
+    """What the laws know of the friction of an axis."""
+
+    models: Models
+    left: tuple[float, ...]  # share of the friction (rms) that each of them leaves
+
+
+def fitted_models(case: Case) -> FittedModels:
+    """The models along one run of PI+FFFO+ on the axis of a case, which follows the reference.
+
+    Raises ValueError if the case has no such controller.
+    """
+    follower = plus_of(case)
+    ran = run_law(case.plant, case.device, PeerLaw(PLUS, follower.controller, follower.toggle), case.profile)
+    assert ran.trace.true_rps is not None
+    return FittedModels(*fit_models(ran.trace.true_rps, ran.friction_nm, case.profile.period_s))
+
+
+def plus_of(case: Case) -> Candidate:
+    """PI+FFFO+ of a case, with inertia torque and preview. Raises ValueError if it has none."""
+    for candidate in case.candidates:
+        shifts = candidate.controller.feedforward
+        if candidate.name == PLUS and shifts.inertia_nm_s2_per_rev > 0.0 and shifts.ahead_ticks > 0.0:
+            return candidate
+    raise ValueError(
+        f"no controller {PLUS} with inertia torque, preview and delay_aware: the published laws take these, "
+        "its gains and its margins"
+    )
+
+
+def run_peers(case: Case, models: Models, mismatch_share: float, sign: float | None) -> list[Evaluation]:
+    """All published laws on one seed; each number of their friction is wrong by `mismatch_share`.
+
+    `sign`: of these errors; None: drawn by the seed. Raises ValueError as `plus_of`, and where no gain of a disturbance
+    observer has the margins of PI+FFFO+.
+    """
+    candidate = plus_of(case)
+    plus = candidate.controller
+    known = wrong(models, mismatch_share, case.seed, sign)
+    design = design_for(plus, known_numbers(plus), plus.observer.friction.viscous_nm_per_rps)
+    laws = peers_of(with_friction(plus, known.two_state), candidate.toggle, design, known_numbers(plus), known)
+    return [
+        evaluation_of(
+            law.name, case.seed, run_law(case.plant, case.device, law, case.profile).trace, case.yardstick,
+            case.cutouts_s,
+        )
+        for law in laws
+    ]  # fmt: skip

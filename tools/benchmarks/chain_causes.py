@@ -1,0 +1,158 @@
+"""Why the tuned loop of an axis of the chain is not stable: what tune says, what the axis can do, what diagnose finds.
+
+  .venv/bin/python tools/benchmarks/chain_causes.py --rows FILE
+
+Reads the rows that tools/benchmarks/chain.py wrote, and takes each dissipative axis whose tuned loop is not stable.
+Writes results/chain_causes.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from chain import (
+    SCENARIO,
+    commissioned_delay_s,
+    declared_nm_per_a,
+    excitations,
+    facts_of,
+    identified,
+    read_rows,
+    tuned,
+)
+from common import RESULTS, commit, machine, progress_bar
+from trial_axes.random_axis import wide_axis
+from trial_axes.robustness import PLATEAU_S, RAMP_S, SPEEDS_RPS, STABLE, probe, probe_profiles
+
+from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT
+from fffo_drive.control.stability import linear_axis
+from fffo_drive.diagnosis.diagnose import diagnose
+from fffo_drive.documents import DocumentError
+from fffo_drive.drive.simulated.parameters import noiseless
+from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
+from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.identification.tuning import Wish
+from fffo_drive.model.parameters import ModelFile
+from fffo_drive.workflows.tune import tune
+
+STICK_SLIP = "stick-slip"  # a word of the warning of tune
+SETTLED_S = 1.0  # the last of a plateau
+REACHED = 0.9  # of a level: below it, and at the limit of the current, the axis cannot go faster
+LIMITED_SHARE = 0.9  # of these ticks
+
+
+class Cause(NamedTuple):
+    """Findings on an axis."""
+
+    number: int
+    law: str
+    effects: tuple[str, ...]
+    verdict: str
+    stick_slip: str  # speeds in rps that tune warns of; empty: of none
+    fastest_rps: float  # at the current limit, where it does not reach a level; nan: nowhere seen
+    found: tuple[str, ...]  # effects that diagnose accepts on the runs that identify had
+    verdict_diagnosed: str  # of the loop that tune designs for the diagnosed model
+
+
+def stick_slip_speeds(scenario: Scenario, model: ModelFile, measured_s: float) -> str:
+    """The range that tune warns of, as in its message."""
+    period_s = scenario.axis.loop.period_s
+    warnings = tune(model, linear_axis(model, period_s), Wish(), measured_s).design.warnings
+    said = [text for text in warnings if STICK_SLIP in text]
+    return said[0].partition(" expect")[0].removeprefix("from ") if said else ""
+
+
+def fastest_rps(case: Case, candidate: Candidate) -> float:
+    """How fast the axis turns at the limit of its current, where it stays below a level of the staircase; else nan."""
+    plain, _ = probe_profiles(case.session.loop.period_ns * 1e-9)
+    rows, _ = simulate(case._replace(plant=noiseless(case.plant), profile=plain), candidate)
+    limited = rows["limits"] & (LIMIT_CONTROLLER | LIMIT_CURRENT) != 0
+    time_s = rows["profile_sample"] * plain.period_s
+    for number, level_rps in enumerate(SPEEDS_RPS):
+        end_s = 0.2 + RAMP_S + (number + 1) * PLATEAU_S - RAMP_S
+        inside = (time_s > end_s - SETTLED_S) & (time_s < end_s)
+        if not inside.any():
+            return math.nan
+        mean_rps = float(np.mean(rows["true_velocity_rps"][inside]))
+        if mean_rps * np.sign(level_rps) < REACHED * abs(level_rps) and np.mean(limited[inside]) > LIMITED_SHARE:
+            return abs(mean_rps)
+    return math.nan
+
+
+def cause_of(job: tuple[int, str, Case]) -> Cause:
+    """Everything about one axis."""
+    number, verdict, case = job
+    scenario = read_scenario(SCENARIO)
+    axis = wide_axis(case.plant, number)
+    nominal = next(c for c in case.candidates if c.name == "pi+fffo+")
+    case = case._replace(plant=axis.plant)
+    constant_nm_per_a = declared_nm_per_a(axis)
+    measured_s = commissioned_delay_s(case, scenario.model, constant_nm_per_a)
+    model = identified(case, number, nominal.controller, constant_nm_per_a)
+    candidate, _, _ = tuned(scenario.axis, model, measured_s)
+    found = diagnose(excitations(case, nominal.controller, constant_nm_per_a), [], facts_of(constant_nm_per_a))
+    after = "nothing found"
+    if found.model_after is not None:
+        try:
+            after = probe(case, tuned(scenario.axis, found.model_after, measured_s)[0]).verdict
+        except DocumentError as error:
+            after = f"refused: {str(error).splitlines()[0]}"
+    accepted = tuple(finding.name for finding in found.findings if finding.accepted)
+    return Cause(
+        number, axis.law, axis.effects, verdict, stick_slip_speeds(scenario, model, measured_s),
+        fastest_rps(case, candidate), accepted, after,
+    )  # fmt: skip
+
+
+def table(found: Sequence[Cause], axes: int) -> list[str]:
+    """One line for each axis."""
+    lines = [
+        "# chain_causes",
+        "",
+        f"The {len(found)} of {axes} random axes on which the tuned loop of the chain (results/chain_hold.md) is not "
+        "stable: the speeds at which tune warns of stick-slip; the fastest that the axis turns at its current limit, "
+        "where the staircase asks for more; the effects that diagnose accepts on the runs that identify had; and the "
+        "loop that tune designs for the diagnosed model.",
+        "",
+        "| axis | friction | effects of the plant | verdict | stick-slip warned, rps | fastest, rps "
+        "| found by diagnose | loop for the diagnosed model |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for one in found:
+        fastest = "–" if math.isnan(one.fastest_rps) else f"{one.fastest_rps:.2g}"
+        lines.append(
+            f"| {one.number} | {one.law} | {', '.join(one.effects)} | {one.verdict} | {one.stick_slip or 'none'} "
+            f"| {fastest} | {', '.join(one.found) or 'none'} | {one.verdict_diagnosed} |"
+        )
+    return lines
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Look at every axis that failed, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=Path, required=True, help="of chain.py (JSON lines)")
+    options = parser.parse_args(arguments)
+    rows = sorted(read_rows(options.rows), key=lambda one: one.number)
+    case = case_of(read_scenario(SCENARIO), 1)
+    warm_up(case)
+    failed = [one for one in rows if one.passive and one.verdict not in (STABLE, "refused")]
+    jobs = [(one.number, one.verdict, case) for one in failed]
+    with progress_bar("axes") as progress:
+        share = None if progress is None else (lambda done: progress(done / len(jobs)))
+        found = over_cores(cause_of, jobs, progress=share)
+    lines = table(found, len(rows))
+    ended = time.strftime("%Y-%m-%d")
+    lines += ["", f"Made by `tools/benchmarks/chain_causes.py` on {ended}, commit {commit()}, {machine()}."]
+    (RESULTS / "chain_causes.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

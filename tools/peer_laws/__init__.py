@@ -1,1 +1,0 @@
-"""Published laws that the controller is compared with: friction and disturbance observers; part of no wheel."""
