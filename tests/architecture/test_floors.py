@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import re
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "fffo_drive"
+HOUSE_PAGE = PACKAGE / "manual" / "pages" / "explanation" / "house.md"
 FLOORS = {
     "arrays": 0, "units": 0, "signals": 0, "symbols": 0, "formats": 0, "directories": 0, "extras": 0, "roles": 0,
     "jit": 0.25, "documents": 0.25, "packing": 0.25,
@@ -70,6 +72,17 @@ def test_a_module_imports_from_floors_below_and_its_own_package_only(path):
         other = name.split(".")[1]
         if other in FLOORS and other != own:
             assert FLOORS[other] < FLOORS[own], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_the_page_of_the_manual_has_every_part_in_the_layer_that_is_held_here():
+    layer, found = -1, {}
+    for line in HOUSE_PAGE.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if len(cells) < 5 or not cells[2].startswith("`"):
+            continue
+        layer = int(cells[1]) if cells[1].isdigit() else layer
+        found |= {name.rstrip("/"): layer for name in re.findall(r"`([a-z]+/?)`", cells[2])}
+    assert found == {name: int(floor) for name, floor in FLOORS.items()}
 
 
 def test_no_module_imports_itself_by_way_of_others():
