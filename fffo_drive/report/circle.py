@@ -172,7 +172,7 @@ def circle_report(source: CircleSource) -> Report:
         tables.insert(1, _gates_table(source.gates))
     return Report(
         kind=KIND,
-        title=f"Circle of {source.axis}",
+        title=f"{source.axis}: find, adopt, run again",
         subtitle="Run, record, diagnose, adopt, run again. The page of the diagnosis is diagnosis/report.html.",
         verdict=_verdict(source),
         opening="exceedance",

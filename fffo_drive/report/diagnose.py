@@ -107,7 +107,7 @@ def diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis) -> Report:
     channels = channel_figure(diagnosis.channels, words)
     sections: tuple[Section, ...] = (
         Section(
-            "What convinces",
+            "Evidence",
             "Each effect over the quantity that it depends on.",
             effect_figures(lead_first(accepted), words),
         ),

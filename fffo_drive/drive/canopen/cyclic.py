@@ -4,8 +4,7 @@ Assignment of answers to SYNCs. A TPDO carries no number, so the rule is:
 
 - An answer that is in the queue before SYNC is sent is late: counted, never used.
 - Of several answers of one TPDO after one SYNC, the last is used and the earlier ones are late. Frames that arrive
-after
-  `port_receive` has returned are in the queue at the next SYNC, and are late.
+  after `port_receive` has returned are in the queue at the next SYNC, and are late.
 - After a tick whose answer came neither in time nor late, the next tick waits for a second answer until its cut-off: if
   it comes, the first was the late one. If it does not, a frame was lost and the first is good. So a drive that is
   always more than a whole period late cannot be distinguished from one that is in time: see turnaround_ns of the row

@@ -2,7 +2,7 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const AT_REST = ["offline", "connected", "ready", "fault"];
-  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "torque is on its way out", fault: "latched: reset, then enable again" };
+  const MEANING = { offline: "no drive answers", connected: "no torque; may not be enabled", ready: "no torque; may be enabled", enabled: "torque, held at standstill", preparing: "torque, held at standstill; a start is being prepared", running: "a profile runs", following: "live set points are followed", stopping: "braking; torque goes off at standstill", fault: "latched: reset, then enable again" };
   const FRAME_MS = 20, SILENT_MS = 1500, STALE_MS = 2500, NUMBERS_MS = 200;
   const ANALYSE_MS = 400; // between two computations on live rows
   const MARGIN_BINS = 2; // a trigger is detected at the end of its bin; its rows begin earlier
