@@ -27,7 +27,7 @@ REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to i
 # (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
 # of the largest hold with the margin at rest, times the share of Kp and Ki: a contact that is loaded towards its
-# Coulomb friction is softer, and where the share is small, the hold must be slow as well (results/chain_hold.md)
+# Coulomb friction is softer, and where the share is small, the hold must be slow as well (results/position_hold.md)
 HOLD_SHARE = 0.5
 FRICTION_SPAN = 100.0  # required range of friction damping
 PHASE_MARGIN_DEG = 45.0

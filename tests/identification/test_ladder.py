@@ -56,7 +56,7 @@ def test_friction_that_differs_by_direction_with_speed_is_no_constant_torque():
 
 @pytest.mark.parametrize(("share", "possible"), [(-0.9, True), (0.9, True), (1.15, False), (-1.15, False)])
 def test_friction_that_would_push_in_one_direction_is_rejected(share, possible):
-    # two columns that are nearly one: chirps of axis 7522 of results/chain_hold.md gave -45 mNm and +115 % of Fc for a
+    # two columns that are nearly one: chirps of axis 7522 of the chain gave -45 mNm and +115 % of Fc for a
     # constant torque of -11 mNm, and the fit that began there ended at 60 times the loss
     candidate = EffectCandidate(1, "asymmetric_coulomb", ("share",), {}, 0.0, False)
     assert stands(AcceptedEffect(candidate, np.array([share]), 84.0, 30.0, 0.003, 0.06)) is possible

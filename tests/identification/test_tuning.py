@@ -144,7 +144,7 @@ def test_gains_at_rest_keep_a_margin_on_the_contacts_spring(delay_s, contact_nm_
 
 
 def test_the_hold_keeps_its_margin_on_a_contact_that_is_softer_than_the_fit_can_see():
-    # axis 7487 of results/chain_hold.md: K was fitted 170 times too stiff, and the hold for it hunted at rest
+    # axis 7487 of the chain: K was fitted 170 times too stiff, and the hold for it hunted at rest
     sliding = LinearAxis(7.8e-4, 0.0017, 0.0045, 0.076)
     stiff, soft = (sliding._replace(contact_nm_per_rev=stiffness) for stiffness in (3030.0, 44.0))
     for alone in (False, True):

@@ -116,7 +116,7 @@ def table(found: Sequence[Cause], axes: int) -> list[str]:
     lines = [
         "# chain_causes",
         "",
-        f"The {len(found)} of {axes} random axes on which the tuned loop of the chain (results/chain_hold.md) is not "
+        f"The {len(found)} of {axes} random axes on which the tuned loop of the chain (results/chain.md) is not "
         "stable: the speeds at which tune warns of stick-slip; the fastest that the axis turns at its current limit, "
         "where the staircase asks for more; the effects that diagnose accepts on the runs that identify had; and the "
         "loop that tune designs for the diagnosed model.",
