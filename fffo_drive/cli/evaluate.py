@@ -54,6 +54,7 @@ class Compared(NamedTuple):
     percent_of: str | None
     cautions: list[str]
     files: list[SourceFile]
+    published: frozenset[str] = frozenset()  # names of laws that are not the scenario's
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,6 +106,7 @@ def execute(options: argparse.Namespace) -> int:
         compared.yardstick,
         compared.cautions,
         provenance(compared.files, facts),
+        compared.published,
     )
     paths = write_report(evaluation_report(source, summary, compared.evaluations), out)
     if options.json:
@@ -125,7 +127,7 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
     file = scenario.file
     cautions = law_cautions(scenario)
-    names = list(file.controllers)
+    others: list[str] = []
     bar = partial(progress_bar, quiet=options.json)
     if options.bus is not None:
         own_node = options.node is not None  # a simulated drive of the scenario's own needs no commissioning
@@ -141,17 +143,18 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
             with bar("published laws") as progress:
                 published, left = run_published(scenario, options.workers, progress)
             evaluations += published
-            names += dict.fromkeys(one.candidate for one in published)
+            others += dict.fromkeys(one.candidate for one in published)
             cautions = [*cautions, _of_published(left)]
         where = "on the simulated drive in process"
     return Compared(
         f"Evaluation of {file.name}",
-        f"{', '.join(names)} {where}, {file.seeds} seeds.",
+        f"{', '.join([*file.controllers, *others])} {where}, {file.seeds} seeds.",
         evaluations,
         yardstick_of(file),
         file.percent_of,
         cautions,
         [source_file(path.name, path.read_bytes(), text=True) for path in (scenario.path, scenario.axis_path)],
+        frozenset(others),
     )
 
 

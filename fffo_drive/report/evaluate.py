@@ -47,6 +47,7 @@ class EvaluationSource(NamedTuple):
     yardstick: Yardstick
     cautions: Sequence[str]
     provenance: ReportProvenance
+    published: frozenset[str] = frozenset()  # laws that are run for comparison only: no axis file can have them
 
 
 def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation]) -> Report:
@@ -104,11 +105,15 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
         text = "Run several seeds, or record several runs of each: a single one shows no scatter."
     elif confidence == "cannot tell":
         text = f"Run more seeds, or record more runs: these do not decide between {best} and {ranking[1]}."
+    elif best in source.published:
+        own = next((name for name in ranking if name not in source.published), "none")
+        text = f"{best} is a published law, run for comparison. The best that an axis file can have is {own}."
     else:
-        text = f"Put `toggle` and gains of {best} into the axis file, and try it with `fffo-drive run`."
+        text = f"Put toggle and gains of {best} into the axis file, and try it with fffo-drive run."
+    step = "run more seeds" if more else "compare" if best in source.published else "use it"
     return Verdict(
         headline=headline, finding=f"{best} is best" if len(ranking) > 1 else best,
-        confidence=confidence, next_step="run more seeds" if more else "use it",
+        confidence=confidence, next_step=step,
         lines=[*lines, Line(label="Next", text=text)], reasons=[order], cautions=cautions,
     )  # fmt: skip
 

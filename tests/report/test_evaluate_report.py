@@ -36,8 +36,8 @@ def run(name, kept, error_rps, seed=1):
     )
 
 
-def report_of(*runs):
-    source = EvaluationSource("title", "subtitle", YARDSTICK, [], provenance([], {}))
+def report_of(*runs, published=frozenset()):
+    source = EvaluationSource("title", "subtitle", YARDSTICK, [], provenance([], {}), published)
     return evaluation_report(source, summarise(runs), runs)
 
 
@@ -96,3 +96,11 @@ def test_seeds_that_do_not_decide_between_the_best_two_ask_for_more_seeds():
     assert (open_.confidence, open_.next_step) == ("cannot tell", "run more seeds")
     assert "do not decide between" in open_.lines[-1].text
     assert verdict_of((0.002, 0.003, 0.002)).next_step == "use it"
+
+
+def test_a_published_law_that_is_best_is_not_for_an_axis_file():
+    errors = {"dob+": (0.002, 0.003, 0.002), "pi": (0.010, 0.014, 0.012)}
+    runs = [run(name, range(SAMPLES), rps, k) for name, own in errors.items() for k, rps in enumerate(own, 1)]
+    verdict = report_of(*runs, published=frozenset({"dob+"})).verdict
+    assert (verdict.finding, verdict.next_step) == ("dob+ is best", "compare")
+    assert verdict.lines[-1].text.endswith("The best that an axis file can have is pi.")

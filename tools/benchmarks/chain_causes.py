@@ -38,6 +38,7 @@ from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.parameters import noiseless
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.identification.dataset import DataError
 from fffo_drive.identification.tuning import Wish
 from fffo_drive.model.parameters import ModelFile
 from fffo_drive.workflows.tune import tune
@@ -97,14 +98,16 @@ def cause_of(job: tuple[int, str, Case]) -> Cause:
     measured_s = commissioned_delay_s(case, scenario.model, constant_nm_per_a)
     model = identified(case, number, nominal.controller, constant_nm_per_a)
     candidate, _, _ = tuned(scenario.axis, model, measured_s)
-    found = diagnose(excitations(case, nominal.controller, constant_nm_per_a), [], facts_of(constant_nm_per_a))
-    after = "nothing found"
-    if found.model_after is not None:
-        try:
+    accepted: tuple[str, ...] = ()
+    try:
+        runs = excitations(case, nominal.controller, constant_nm_per_a)
+        found = diagnose(runs, [], facts_of(constant_nm_per_a))
+        accepted = tuple(finding.name for finding in found.findings if finding.accepted)
+        after = "nothing found"
+        if found.model_after is not None:
             after = probe(case, tuned(scenario.axis, found.model_after, measured_s)[0]).verdict
-        except DocumentError as error:
-            after = f"refused: {str(error).splitlines()[0]}"
-    accepted = tuple(finding.name for finding in found.findings if finding.accepted)
+    except (DataError, DocumentError) as error:
+        after = f"refused: {str(error).splitlines()[0]}"
     return Cause(
         number, axis.law, axis.effects, verdict, stick_slip_speeds(scenario, model, measured_s),
         fastest_rps(case, candidate), accepted, after,
