@@ -137,14 +137,14 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
         evaluations = evaluate_on_bus(scenario, options.bus or None, options.node, out, given, bar)
         where = "on a bus, in real time"
     else:
-        with bar(f"{file.name:8}") as progress:
-            evaluations = run_seeds(scenario, options.workers, progress)
-        if options.peers:
+        published: list[Evaluation] = []
+        if options.peers:  # first: where they cannot be run, nothing is
             with bar("published laws") as progress:
                 published, left = run_published(scenario, options.workers, progress)
-            evaluations += published
             others += dict.fromkeys(one.candidate for one in published)
             cautions = [*cautions, _of_published(left)]
+        with bar(f"{file.name:8}") as progress:
+            evaluations = [*run_seeds(scenario, options.workers, progress), *published]
         where = "on the simulated drive in process"
     return Compared(
         f"Evaluation of {file.name}",
