@@ -12,8 +12,8 @@ PACKAGE = "fffo-drive"
 def needs_extra(what: str, extra: str) -> str:
     """`what` and how to install what it needs.
 
-    The libraries are named, and this environment's Python: our own name is on no index, so that another environment's
-    pip would look for a package of strangers.
+    The command names the libraries and this environment's Python. This package is on no index: `pip install` by its own
+    name could fetch somebody else's.
     """
     command = shlex.join([sys.executable, "-m", "pip", "install", *libraries_of(extra)])
     return f"{what} needs the extra `{extra}`: {command}"

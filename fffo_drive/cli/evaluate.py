@@ -127,7 +127,7 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Path) -> Compared:
     file = scenario.file
     cautions = law_cautions(scenario)
-    others: list[str] = []
+    published: list[Evaluation] = []
     bar = partial(progress_bar, quiet=options.json)
     if options.bus is not None:
         own_node = options.node is not None  # a simulated drive of the scenario's own needs no commissioning
@@ -137,15 +137,14 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
         evaluations = evaluate_on_bus(scenario, options.bus or None, options.node, out, given, bar)
         where = "on a bus, in real time"
     else:
-        published: list[Evaluation] = []
         if options.peers:  # first: where they cannot be run, nothing is
             with bar("published laws") as progress:
                 published, left = run_published(scenario, options.workers, progress)
-            others += dict.fromkeys(one.candidate for one in published)
-            cautions = [*cautions, _of_published(left)]
+            cautions = [*cautions, _caution_about_fits(left)]
         with bar(f"{file.name:8}") as progress:
             evaluations = [*run_seeds(scenario, options.workers, progress), *published]
         where = "on the simulated drive in process"
+    others = dict.fromkeys(one.candidate for one in published)
     return Compared(
         f"Evaluation of {file.name}",
         f"{', '.join([*file.controllers, *others])} {where}, {file.seeds} seeds.",
@@ -158,14 +157,14 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
     )
 
 
-def _of_published(left: Sequence[float]) -> str:
+def _caution_about_fits(left: Sequence[float]) -> str:
     shares = ", ".join(
         f"{name} {100.0 * share:.0f} %" for name, share in zip(("2SEP", "LuGre", "GMS"), left, strict=True)
     )
     return (
         "The published laws have the gains, inertia torque and preview of pi+fffo+, and run without the envelope. "
-        "Their friction models are fitted to one run on the same simulated axis, and then made as wrong as the "
-        f"scenario says; what the fit leaves of the friction: {shares}."
+        "Their friction models are fitted to one run on the same simulated axis and then given the scenario's model "
+        f"error. Friction that the fit leaves unexplained: {shares}."
     )
 
 

@@ -46,13 +46,13 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float], N
 
 
 class _Spoken:
-    """A line on stderr now and then."""
+    """Progress as lines on stderr, at least `QUIET_S` apart."""
 
     def __init__(self, text: str) -> None:
         self.text, self.next_s = text, time.monotonic() + QUIET_S
 
     def tell(self, share: float) -> None:
-        """The share done, if long enough nothing was said."""
+        """Print the share done, unless a line was printed less than `QUIET_S` ago."""
         if time.monotonic() >= self.next_s:
             self.next_s = time.monotonic() + QUIET_S
             print(f"{self.text}: {100.0 * share:.0f} % done", file=sys.stderr, flush=True)

@@ -323,7 +323,7 @@ class _Collector:
 
 
 def _torn(path: Path, tear: str, rows: int) -> str:
-    """What everybody says who reads a recording that is not whole."""
+    """The message of every reader of a recording that is not whole."""
     remedy = "; `fffo-drive log recover` makes a whole file of them" if rows else ""
     return f"{path} {tear}; {rows} rows, up to the last whole chunk, were read{remedy}"
 

@@ -100,17 +100,20 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     if len(ranking) > 1:
         lines.append(_surety(summary, kind, best, ranking[1]))
     confidence = _confidence(summary, kind, ranking)
-    more = len(summary.seeds) < 2 or confidence == "cannot tell"
     if len(summary.seeds) < 2:
-        text = "Run several seeds, or record several runs of each: a single one shows no scatter."
+        step, text = (
+            "run more seeds",
+            "Run several seeds, or record several runs of each: a single one shows no scatter.",
+        )
     elif confidence == "cannot tell":
+        step = "run more seeds"
         text = f"Run more seeds, or record more runs: these do not decide between {best} and {ranking[1]}."
     elif best in source.published:
+        step = "compare"
         own = next((name for name in ranking if name not in source.published), "none")
         text = f"{best} is a published law, run for comparison. The best that an axis file can have is {own}."
     else:
-        text = f"Put toggle and gains of {best} into the axis file, and try it with fffo-drive run."
-    step = "run more seeds" if more else "compare" if best in source.published else "use it"
+        step, text = "use it", f"Put toggle and gains of {best} into the axis file, and try it with fffo-drive run."
     return Verdict(
         headline=headline, finding=f"{best} is best" if len(ranking) > 1 else best,
         confidence=confidence, next_step=step,

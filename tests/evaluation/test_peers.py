@@ -320,7 +320,7 @@ def test_published_laws_are_run_beside_those_of_a_scenario_and_as_the_benchmark_
 
 def test_a_scenario_without_pi_fffo_plus_has_no_published_laws_beside_it(short):
     alone = narrowed(short, ["pi", "pi+fffo"], 1)
-    with pytest.raises(DocumentError, match=r"paper.yaml: no controller pi\+fffo\+ with inertia torque"):
+    with pytest.raises(DocumentError, match=r"paper.yaml: controllers: no pi\+fffo\+ with inertia, preview"):
         run_published(alone, 1)
 
 

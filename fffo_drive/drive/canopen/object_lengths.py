@@ -1,4 +1,4 @@
-"""Bytes of an object, for a drive whose expedited answer does not tell its size (CiA 301 7.2.4.3.6, s = 0)."""
+"""Bytes of an object, for a drive whose expedited answer does not state its size (CiA 301 7.2.4.3.6, s = 0)."""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ class _Client(SdoClient):
 
     def upload(self, index: int, subindex: int) -> bytes:
         with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
-            told, data = stream.size is not None, bytes(stream.read())
-        return data if told else data[: self.length_of(index, subindex)]
+            sized, data = stream.size is not None, bytes(stream.read())
+        return data if sized else data[: self.length_of(index, subindex)]
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         self.send_request(bytes([SDO_ABORT, 0, 0, 0]) + abort_code.to_bytes(4, "little"))  # type: ignore[no-untyped-call]
@@ -100,7 +100,7 @@ class Service:
         self, link: Link, node_id: int, queue: ServiceQueue, answer_timeout_s: float, attempts: int,
         length_of: LengthOf = standard_length,
     ) -> None:  # fmt: skip
-        """`length_of`: of objects whose size an answer does not tell."""
+        """`length_of`: of objects whose size an answer does not state."""
         self.link, self.node_id, self.queue = link, node_id, queue
         self.boot_ups = 0  # messages since the last `forget`
         self.nmt_state = -1

@@ -1,7 +1,7 @@
 """Published laws beside the controllers of a scenario: the same seeds and references, margins, and errors of the model.
 
-They share the gains, inertia torque, preview and error filter of PI+FFFO+ as the scenario has it. Their friction models
-are fitted to a run on the same simulated axis.
+They have the gains, inertia torque, preview and error filter of the scenario's PI+FFFO+. Their friction models are
+fitted to a run on the same simulated axis.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def plus_of(case: Case) -> Candidate:
         if candidate.name == PLUS and shifts.inertia_nm_s2_per_rev > 0.0 and shifts.ahead_ticks > 0.0:
             return candidate
     raise ValueError(
-        f"no controller {PLUS} with inertia torque, preview and delay_aware: the published laws take these, "
-        "its gains and its margins"
+        f"controllers: no {PLUS} with inertia, preview and delay_aware. The published laws take their gains and "
+        "margins from it: add it"
     )
 
 
