@@ -93,6 +93,7 @@ class MeasuredRun:
     fault: str | None = None  # why it ended before its profile did
     rows: Rows | None = field(default=None, repr=False)  # signals.ROW, of this project's own loop
     profile_samples: int | None = None  # of the profile that ran, in those rows
+    cut: str | None = None  # why not all of its recording could be read
 
     def __getitem__(self, name: str) -> Floats:
         if name not in self.columns:
@@ -143,7 +144,8 @@ class MeasuredRun:
 
     def __repr__(self) -> str:
         size = f"{self.time_s.size} samples, {self.duration_s:.4g} s, {len(self.columns)} signals"
-        return f"MeasuredRun({self.name!r}: {size}{f', fault: {self.fault}' if self.fault else ''})"
+        cut = ", cut: its recording is incomplete" if self.cut else ""
+        return f"MeasuredRun({self.name!r}: {size}{cut}{f', fault: {self.fault}' if self.fault else ''})"
 
     def _repr_html_(self) -> str:
         rows = [
@@ -194,8 +196,9 @@ def read_run(
     """Read a run: a recording (.mcap), a table (CSV, MAT), or a mapping of arrays (n,) by signal name.
 
     `facts`: what is declared about the drive, or the file with it; recordings contain it.
-    `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. Raises RecordingError or
-    DocumentError.
+    `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. An incomplete recording
+    is read up to its last whole chunk, with a warning, and `.cut` says why; what is wrong in a table without making it
+    useless is a warning, too. Raises RecordingError or DocumentError.
     """
     if isinstance(source, Mapping):
         arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
@@ -215,13 +218,17 @@ def read_run(
     declared = _facts(facts or own, torque_constant_nm_per_a)
     if not carries:
         table = read_table(path, None if declared is None else declared.column_map(), uneven_time=True)
+        for text in table.warnings:
+            warnings.warn(text, stacklevel=2)
         return MeasuredRun(name or path.name, dict(table.columns), declared, path)
     recording = read_recording(path)
-    if "profile_sample" not in recording.columns:
-        return MeasuredRun(name or path.name, dict(recording.columns), declared, path)
+    if not recording.complete:
+        warnings.warn(recording.reason, stacklevel=2)
+    own_loop = "profile_sample" in recording.columns
     return MeasuredRun(
-        name or path.name, dict(recording.columns), declared, path, None, np.asarray(recording.rows),
-        recording.profile_samples,
+        name or path.name, dict(recording.columns), declared, path, None,
+        np.asarray(recording.rows) if own_loop else None, recording.profile_samples if own_loop else None,
+        None if recording.complete else recording.reason,
     )  # fmt: skip
 
 

@@ -324,7 +324,7 @@ class _Collector:
 
 def _torn(path: Path, tear: str, rows: int) -> str:
     """The message of every reader of a recording that is not whole."""
-    remedy = "; `fffo-drive log recover` makes a whole file of them" if rows else ""
+    remedy = f"; `fffo-drive log recover {path} NEW.mcap` makes a whole file of them" if rows else ""
     return f"{path} {tear}; {rows} rows, up to the last whole chunk, were read{remedy}"
 
 

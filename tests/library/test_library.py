@@ -161,9 +161,39 @@ def test_arrays_of_other_lengths_are_named(position):
 def test_a_recording_cut_off_before_its_rows_is_shown_as_empty(recorded, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recorded.path.read_bytes()[:9000])
-    run = fd.read_run(cut)
-    assert repr(run) == f"MeasuredRun('cut.mcap': 0 samples, 0 s, {len(run.columns)} signals)"
+    with pytest.warns(UserWarning, match="0 rows, up to the last whole chunk, were read$"):
+        run = fd.read_run(cut)
+    start = f"MeasuredRun('cut.mcap': 0 samples, 0 s, {len(run.columns)} signals"
+    assert repr(run) == f"{start}, cut: its recording is incomplete)"
     assert "0 samples" in run._repr_html_()
+
+
+def test_a_recording_cut_in_its_rows_warns_how_much_was_read_and_how_to_recover_it(recorded, tmp_path):
+    whole = recorded.path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 6 // 10])
+    with pytest.warns(UserWarning, match="log recover") as caught:
+        run = fd.read_run(cut)
+    assert 0 < run.time_s.size < recorded.time_s.size
+    (said,) = {str(warning.message) for warning in caught}
+    assert said == run.cut
+    assert said.startswith(f"{cut} ends at byte {len(whole) * 6 // 10}")
+    assert f"; {run.time_s.size} rows, " in said
+    assert f"`fffo-drive log recover {cut} NEW.mcap`" in said
+    for shown in (repr(run), run._repr_html_()):
+        assert ", cut: its recording is incomplete)" in shown
+    assert recorded.cut is None
+    assert "cut" not in repr(recorded)
+
+
+def test_a_table_whose_last_line_is_cut_warns(recorded, tmp_path):
+    table = tmp_path / "log.csv"
+    np.savetxt(
+        table, np.column_stack([recorded[name][:100] for name in ARRAYS]), delimiter=",", header=",".join(ARRAYS)
+    )
+    table.write_text(table.read_text()[:-60])
+    with pytest.warns(UserWarning, match="log.csv: the last line ends in the middle"):
+        assert fd.read_run(table, torque_constant_nm_per_a=0.148).time_s.size == 99
 
 
 def test_runs_of_one_name_are_two_runs(simulated):
