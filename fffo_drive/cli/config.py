@@ -3,14 +3,17 @@
 fffo-drive config check AXIS...     all errors at once; margins, bus load; axes that share a bus
 fffo-drive config schema KIND       JSON schema for editors: axis, drive_profile, simulated, model, scenario, facts
 fffo-drive config drives            the drive profiles that come with the program, and how each was tested
-fffo-drive config signals           table of recorded signals
-fffo-drive config effects           table of effects of the simulated drive
+fffo-drive config signals           the recorded signals with unit and meaning
+fffo-drive config effects           the effects of the simulated drive with their parameters
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
+import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 from ..can.load import ChainStep
@@ -37,6 +40,8 @@ SCHEMAS: dict[str, Any] = {
     "scenario": ScenarioFile,
     "facts": DriveFacts,
 }
+LEAST_TEXT = 20  # characters of the last column, in a terminal however narrow
+EFFECTS_HEAD = "An effect is absent while every parameter of it that is marked (strength) is 0."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,9 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("config", metavar="AXIS", nargs="+", help="axis file (YAML)")
     schema = _action(actions, "schema", "print the JSON schema of a kind of file")
     schema.add_argument("kind", choices=list(SCHEMAS), help="kind of file")
-    _action(actions, "drives", "list the profiles of drive families, for drive.profile, and how each was tested")
-    _action(actions, "signals", "print the table of recorded signals (Markdown)")
-    _action(actions, "effects", "print the table of effects of the simulated drive (Markdown)")
+    for name, text in (
+        ("drives", "list the profiles of drive families, for drive.profile, and how each was tested"),
+        ("signals", "print the recorded signals with unit and meaning"),
+        ("effects", "print the effects of the simulated drive with their parameters"),
+    ):
+        _action(actions, name, text).add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
@@ -70,29 +78,82 @@ def execute(options: argparse.Namespace) -> int:
     elif options.action == "schema":
         print(json.dumps(SCHEMAS[options.kind].model_json_schema(), indent=2))
     elif options.action == "drives":
-        print("\n".join(drive_lines()))
+        print(json.dumps(_drives(), indent=2) if options.json else "\n".join(drive_lines()))
     elif options.action == "signals":
-        print(signal_table())
+        _print_signals(options.json)
     else:
-        from ..drive.simulated.effects.registry import effect_table
-
-        print(effect_table())
+        _print_effects(options.json)
     return 0
 
 
-def signal_table() -> str:
-    """The recorded signals as a Markdown table."""
-    lines = ["| signal | unit | meaning |", "| --- | --- | --- |"]
-    lines += [f"| `{s.name}` | {s.unit} | {s.meaning} |" for s in SIGNALS]
-    return "\n".join(lines)
+def aligned(rows: Sequence[Sequence[str]], widths: Sequence[int], indent: str = "") -> list[str]:
+    """Rows in columns of `widths`; the last column is wrapped to the terminal, and not in a pipe: grep takes lines."""
+    lines = []
+    for row in rows:
+        front = indent + "".join(f"{text:<{width + 2}}" for text, width in zip(row, widths, strict=False))
+        lines += wrapped(row[-1], front, " " * len(front))
+    return lines
+
+
+def wrapped(text: str, first: str, others: str) -> list[str]:
+    """A text to the width of the terminal, behind `first` in its first line."""
+    columns = shutil.get_terminal_size(fallback=(10_000, 24)).columns
+    width = max(columns, len(first) + LEAST_TEXT)
+    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+
+
+def _widths(rows: Sequence[Sequence[str]]) -> list[int]:
+    """Of all columns but the last."""
+    return [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
+
+
+def _print_signals(as_json: bool) -> None:
+    if as_json:
+        found = {s.name: {"type": s.dtype, "unit": s.unit, "meaning": s.meaning} for s in SIGNALS}
+        print(json.dumps(found, indent=2))
+        return
+    rows = [("signal", "unit", "meaning"), *((s.name, s.unit, s.meaning) for s in SIGNALS)]
+    print("\n".join(aligned(rows, _widths(rows))))
+
+
+def _print_effects(as_json: bool) -> None:
+    from ..drive.simulated.effects.registry import EFFECTS, PARAMETER_COLUMNS, parameter_cells
+    from ..drive.simulated.effects.slots import STAGE_NAMES
+
+    if as_json:
+        found = {
+            effect.name: {
+                "acts_on": STAGE_NAMES[effect.stage], "meaning": effect.description,
+                "parameters": [parameter._asdict() for parameter in effect.parameters],
+            }
+            for effect in EFFECTS.values()
+        }  # fmt: skip
+        print(json.dumps(found, indent=2))
+        return
+    cells = {effect.name: [parameter_cells(p) for p in effect.parameters] for effect in EFFECTS.values()}
+    widths = _widths([PARAMETER_COLUMNS, *(row for rows in cells.values() for row in rows)])
+    lines = wrapped(EFFECTS_HEAD, "", "") + aligned([PARAMETER_COLUMNS], widths, "  ")
+    for effect in EFFECTS.values():
+        lines += wrapped(f"{effect.description} (acts on: {STAGE_NAMES[effect.stage]})", f"{effect.name}: ", "  ")
+        lines += aligned(cells[effect.name], widths, "  ")
+    print("\n".join(lines))
+
+
+def _drives() -> dict[str, dict[str, Any]]:
+    read = {name: read_profile(path) for name, path in shipped_profiles().items()}
+    return {
+        name: {"family": profile.family, "tried": profile.tried, "remarks": list(profile.remarks)}
+        for name, profile in read.items()
+    }
 
 
 def drive_lines() -> list[str]:
     """Each profile of a drive family: name, family, what was tried on what, what must be known."""
     lines = []
-    for name, path in shipped_profiles().items():
-        profile = read_profile(path)
-        lines += [f"{name}  {profile.family}", f"  tried: {profile.tried}", *(f"  {text}" for text in profile.remarks)]
+    for name, drive in _drives().items():
+        lines += wrapped(drive["family"], f"{name}  ", "  ")
+        for text in (f"tried: {drive['tried']}", *drive["remarks"]):
+            lines += wrapped(text, "  ", "    ")
     return lines
 
 

@@ -9,16 +9,15 @@ from typing import Any
 
 from ..cli import COMMANDS, build_parser, parser_of
 from ..cli.config import SCHEMAS
-from ..config.axis import TRIP_NAMES
-from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NONE, TRIP_TEXTS
+from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NAMES, TRIP_TEXTS
 from ..daemon.parameters import METHODS
 from ..daemon.states import markdown as states_markdown
-from ..drive.simulated.effects.registry import effect_table
+from ..drive.simulated.effects.registry import EFFECTS, PARAMETER_COLUMNS, parameter_cells
+from ..drive.simulated.effects.slots import STAGE_NAMES
 from ..model.effects.law import Law
 from ..model.effects.registry import LAWS
 from ..signals import SIGNALS
 
-COLUMNS = 100  # of the usage lines
 FILES = {  # kind -> (title, what the file is)
     "axis": ("Axis file", "One axis: drive, model, law, limits, profile. Input of `run`, `serve` and `commission`."),
     "drive_profile": (
@@ -308,7 +307,19 @@ def effects() -> str:
     lines += ["Anything outside this list is reported as `unknown:AXIS`, a free curve over the variable AXIS.", ""]
     for law in laws:
         lines += _law(law)
-    return "\n".join([*lines, "## Effects of the simulated drive", "", effect_table(), ""])
+    return "\n".join([*lines, "## Effects of the simulated drive", "", *_plant_effects()])
+
+
+def _plant_effects() -> list[str]:
+    """Every effect of the simulated drive, with a row for each parameter."""
+    rows = []
+    for effect in EFFECTS.values():
+        head = (f"`{effect.name}`", STAGE_NAMES[effect.stage], cell(effect.description))
+        for parameter in effect.parameters:
+            name, *cells = parameter_cells(parameter)
+            rows.append((*head, f"`{name}`", *map(cell, cells)))
+            head = ("", "", "")
+    return table(("effect", "acts on", "what it is", *PARAMETER_COLUMNS), rows)
 
 
 def _slug(name: str) -> str:
@@ -352,15 +363,10 @@ def _demoted(line: str) -> str:
 
 def trips() -> str:
     """Every trip of the envelope with its default reaction."""
-    names = {value: name for name, value in TRIP_NAMES.items()}
     rows = []
-    for trip, text in TRIP_TEXTS.items():
-        if trip == TRIP_NONE:
-            continue
-        reaction, why = DEFAULT_REACTIONS[trip]
-        rows.append(
-            (trip, f"`{names[trip]}`", cell(text), "coast" if reaction == REACTION_COAST else "quick stop", cell(why))
-        )
+    for trip, (reaction, why) in DEFAULT_REACTIONS.items():
+        word = "coast" if reaction == REACTION_COAST else "quick stop"
+        rows.append((trip, f"`{TRIP_NAMES[trip]}`", cell(TRIP_TEXTS[trip]), word, cell(why)))
     lines = [
         "# Trips",
         "",

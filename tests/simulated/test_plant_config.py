@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fffo_drive.drive.simulated import friction
-from fffo_drive.drive.simulated.effects.registry import EFFECTS, effect_table
 from fffo_drive.drive.simulated.pack import new_state, plant_parameters
 from fffo_drive.drive.simulated.parameters import (
     DeviceConfig,
@@ -118,11 +117,3 @@ def test_a_state_begins_where_the_configuration_says():
     other = new_state(PlantConfig(initial_angle_rev=2.5), seed=10)
     assert state.values[0] == 2.5
     assert not np.array_equal(state.words[:4], other.words[:4])
-
-
-def test_the_table_of_effects_has_a_row_for_each_parameter():
-    lines = effect_table().splitlines()
-    assert len(lines) == 2 + sum(len(effect.parameters) for effect in EFFECTS.values())
-    assert len({line.count("|") for line in lines}) == 1
-    for name in EFFECTS:
-        assert sum(f"| `{name}` |" in line for line in lines) == 1

@@ -1,4 +1,4 @@
-"""The registry: every effect by name, the checks of a configuration, and the table for the manual.
+"""The registry: every effect by name, the checks of a configuration, and what the tables of effects say.
 
 An effect is added by a kernel and one row in the `EFFECTS` of its file.
 """
@@ -10,8 +10,7 @@ from collections.abc import Mapping
 
 from ....documents import did_you_mean
 from . import friction_effects, mechanics, odd, torque
-from .declaration import PlantEffect
-from .slots import STAGE_NAMES
+from .declaration import PlantEffect, PlantParameter
 
 EFFECTS: dict[str, PlantEffect] = {
     effect.name: effect for module in (torque, friction_effects, mechanics, odd) for effect in module.EFFECTS
@@ -48,17 +47,10 @@ def effect_errors(name: str, given: Mapping[str, float]) -> list[tuple[str, str]
     return errors
 
 
-def effect_table() -> str:
-    """Markdown table of all effects and their parameters."""
-    lines = [
-        "| effect | acts on | what it is | parameter | unit | default | range |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for effect in EFFECTS.values():
-        head = f"| `{effect.name}` | {STAGE_NAMES[effect.stage]} | {effect.description} "
-        for p in effect.parameters:
-            strength = " (strength)" if p.strength else ""
-            cells = f"| `{p.name}`: {p.meaning}{strength} | {p.unit} | {p.default:g} | {p.low:g} to {p.high:g} |"
-            lines.append(head + cells)
-            head = "| | | "
-    return "\n".join(lines)
+PARAMETER_COLUMNS = ("parameter", "unit", "default", "range", "meaning")
+
+
+def parameter_cells(p: PlantParameter) -> tuple[str, ...]:
+    """A parameter under `PARAMETER_COLUMNS`, for the terminal and for the manual."""
+    strength = " (strength)" if p.strength else ""
+    return p.name, p.unit, f"{p.default:g}", f"{p.low:g} to {p.high:g}", f"{p.meaning}{strength}"
