@@ -9,10 +9,11 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -392,6 +393,21 @@ def counted(number: int, noun: str) -> str:
 def finite(value: float) -> float | None:
     """A number as JSON has it: None for nan and infinities."""
     return float(value) if math.isfinite(value) else None
+
+
+def as_json(value: Any, not_finite: Callable[[float], float | str | None] = finite) -> Any:
+    """A value in terms of JSON: arrays as lists, nan and infinities by `not_finite`, what JSON cannot say as text."""
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item, not_finite) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return as_json(value.tolist(), not_finite)
+    if isinstance(value, list | tuple | set | frozenset):
+        return [as_json(item, not_finite) for item in value]
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else not_finite(value)
+    return str(value)
 
 
 def accepts(record: type[BaseModel], values: Any) -> bool:

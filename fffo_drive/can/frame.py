@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 FRAME_SIZE = 16  # u32 id and flags, u8 length, 3 bytes of padding, 8 data bytes
-ID_OFFSET, LENGTH_OFFSET, DATA_OFFSET = 0, 4, 8
+LENGTH_OFFSET, DATA_OFFSET = 4, 8
 MAX_DATA = 8
 _LAYOUT = struct.Struct("=IB3x8s")
 
@@ -25,11 +25,10 @@ EXTENDED_MASK = 0x1FFF_FFFF
 ERROR_BUS_OFF = 0x40
 ERROR_RESTARTED = 0x100
 
-# CiA 301 predefined connection set; the node id is added to all but NMT, SYNC and TIME
+# CiA 301 predefined connection set; the node id is added to all but NMT and SYNC
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
-TIME = 0x100
 TPDO1, TPDO2, TPDO3 = 0x180, 0x280, 0x380
 RPDO1, RPDO2, RPDO3, RPDO4 = 0x200, 0x300, 0x400, 0x500
 SDO_RESPONSE = 0x580  # from the drive

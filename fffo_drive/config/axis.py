@@ -67,11 +67,7 @@ from .sections import (
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 TOGGLES = {name: toggle for toggle, name in TOGGLE_NAMES.items()}
-TRIP_NAMES = {
-    name.removeprefix("TRIP_").lower(): value
-    for name, value in vars(env).items()
-    if name.startswith("TRIP_") and isinstance(value, int) and name not in ("TRIP_COUNT", "TRIP_NONE")
-}
+TRIPS = {name: trip for trip, name in env.TRIP_NAMES.items()}
 REACTIONS = {"coast": env.REACTION_COAST, "quick_stop": env.REACTION_QUICK_STOP}
 
 
@@ -106,9 +102,9 @@ class AxisFile(StrictRecord):
 
     @model_validator(mode="after")
     def _consistent(self) -> AxisFile:
-        unknown = sorted(set(self.envelope.reactions) - set(TRIP_NAMES))
+        unknown = sorted(set(self.envelope.reactions) - set(TRIPS))
         if unknown:
-            raise ValueError(f"envelope.reactions: unknown trip '{unknown[0]}'; known: {', '.join(TRIP_NAMES)}")
+            raise ValueError(f"envelope.reactions: unknown trip '{unknown[0]}'; known: {', '.join(TRIPS)}")
         largest_rps = self.daemon.set_points.largest_rps
         if largest_rps is not None and largest_rps > self.envelope.speed_limit_rps:
             raise ValueError("daemon.set_points.largest_rps must not exceed envelope.speed_limit_rps")
@@ -251,7 +247,7 @@ def envelope_config(axis: AxisFile) -> env.EnvelopeConfig:
     section = axis.envelope
     reactions = env.default_reactions()
     for name, reaction in section.reactions.items():
-        reactions[TRIP_NAMES[name]] = REACTIONS[reaction]
+        reactions[TRIPS[name]] = REACTIONS[reaction]
     low_rev, high_rev = section.position_window_rev or (-np.inf, np.inf)
     return env.EnvelopeConfig(
         section.current_limit_a,

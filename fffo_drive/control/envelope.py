@@ -39,6 +39,11 @@ TRIP_LOCAL_CONTROL = 16
 TRIP_NOT_FOLLOWING = 17
 TRIP_COUNT = 18
 
+TRIP_NAMES = {  # as axis files, messages and the manual have them
+    value: name.removeprefix("TRIP_").lower()
+    for name, value in list(globals().items())
+    if name.startswith("TRIP_") and value not in (TRIP_NONE, TRIP_COUNT)
+}
 TRIP_TEXTS = {
     TRIP_NONE: "no fault",
     TRIP_NOT_A_NUMBER: "command or feedback is not a finite number",

@@ -7,8 +7,9 @@ parameters. A request without `id` is a notification and is never answered, not 
 from __future__ import annotations
 
 import json
-import math
 from typing import Any, NamedTuple
+
+from ..documents import as_json
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
@@ -174,15 +175,4 @@ def encode(content: Json) -> bytes:
     try:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode() + b"\n"
     except ValueError:
-        return json.dumps(finite(content), allow_nan=False, separators=(",", ":")).encode() + b"\n"
-
-
-def finite(content: Json) -> Json:
-    """The same with null for NaN and infinities."""
-    if isinstance(content, float) and not math.isfinite(content):
-        return None
-    if isinstance(content, dict):
-        return {key: finite(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [finite(value) for value in content]
-    return content
+        return json.dumps(as_json(content), allow_nan=False, separators=(",", ":")).encode() + b"\n"

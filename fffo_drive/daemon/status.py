@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..control.envelope import TRIP_NONE
+from ..control.envelope import TRIP_NAMES
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..drive.cia402 import state_name
 from ..drive.port import exchange_counts
@@ -17,7 +17,6 @@ from .set_points import latency_s
 from .settings import LIVE_KEYS, value_of
 from .states import State
 from .supervisor import Supervisor
-from .watch import TRIP_NAMES
 
 ADAPTED = ("offset_nm", "coulomb_nm", "viscous_nm_per_rps")  # of the row, behind adapted_
 MOTION = (
@@ -93,7 +92,7 @@ def _loop_of(supervisor: Supervisor) -> dict[str, Any]:
         "skipped": session.status(b.SKIPPED_TICKS),
         "missing_feedback": session.status(b.MISSING_FEEDBACK),
         "stale_blocks": session.status(b.STALE_BLOCKS),
-        "trip": None if connection.trip == TRIP_NONE else TRIP_NAMES[connection.trip],
+        "trip": TRIP_NAMES.get(connection.trip),
         "exchange": exchange_counts(feedback)._asdict(),
     }
     statusword = session.status(b.STATUSWORD)

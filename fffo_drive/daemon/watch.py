@@ -22,7 +22,7 @@ RESET_TICKS = 60  # duration of a reset request (requests.FAULT_RESET_TICKS, and
 STANDSTILL_RPS = 0.05
 SILENT_S = 0.5  # without an answer to SYNC for this long, at rest, the drive counts as lost
 
-# trips after which the drive is lost, unreachable or under another master, and has to be brought up again
+# trips after which the drive is lost, unreachable or under another master; these faults: bring it up again
 LOST_TRIPS = frozenset(
     {
         env.TRIP_BUS_OFF,
@@ -34,13 +34,7 @@ LOST_TRIPS = frozenset(
         env.TRIP_FOREIGN_SYNC,
     }
 )
-TRIP_NAMES = {
-    value: name.removeprefix("TRIP_").lower()
-    for name, value in vars(env).items()
-    if name.startswith("TRIP_") and isinstance(value, int) and name != "TRIP_COUNT"
-}
-
-GONE = frozenset({"silent", "loop_stalled", *(TRIP_NAMES[trip] for trip in LOST_TRIPS)})  # faults: bring it up again
+GONE = frozenset({"silent", "loop_stalled", *(env.TRIP_NAMES[trip] for trip in LOST_TRIPS)})
 
 
 class Latched(NamedTuple):
@@ -123,7 +117,7 @@ class Watcher:
     def _tripped(self, trip: int) -> Trouble | None:
         if trip != env.TRIP_NONE:
             event = StateEvent.DRIVE_LOST if trip in LOST_TRIPS else StateEvent.TRIPPED
-            return Trouble(event, TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
+            return Trouble(event, env.TRIP_NAMES[trip], env.TRIP_TEXTS[trip])
         row = self.connection.last_row()
         if row is not None and int(row["velocity_age"]) > self._silent_ticks:
             text = f"no answer to {int(row['velocity_age'])} SYNCs"

@@ -41,8 +41,8 @@ SLOPES = np.array([1.0, 2.5])  # l: a small shift and a large one
 LONGEST_TAIL, TAILS = 15.0, 1501  # largest half width of the uniform scores in the bound, and how many are tried
 MOST_ALARMS = 4  # of one drive
 BURN_IN = 8  # runs that set a level: what comes after is judged against it, these are not
-LEVEL, TEMPERATURE, SPEED = range(3)  # coefficients of a channel
-# a channel's memory: 3 coefficients, their covariance over the variance, shape and sum of the variance, the run before
+# a channel's memory: 3 coefficients (level, temperature, speed), their covariance over the variance, shape and sum of
+# the variance, the run before
 _B, _V, _SHAPE, _SUM, _LAST, _HAS = 0, 3, 12, 13, 14, 17
 STATE = 18
 YEAR_S = 365.25 * 86400.0

@@ -112,7 +112,6 @@ RECORD_SCHEMA = pa.schema(
         _field("complete", pa.bool_(), "-", "false: the file is torn, its whole part was taken"),
     ]
 )  # fmt: skip
-NAMES = tuple(RECORD_SCHEMA.names)
 INDEX_SCHEMA = pa.schema(
     [
         _field("run", pa.string(), "-", "SHA-256 of the file, hex"),

@@ -7,14 +7,12 @@ profile refuse it if a channel has a JSON schema. Free-form content is a JSON ob
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from ..documents import as_json
 from ..units import NS_PER_S
 from .cdr import Field, decode, encode, schema_of
 
@@ -60,7 +58,7 @@ class Event(NamedTuple):
             "level": name,
             "source": self.source,
             "text": self.text,
-            "data": _plain(self.data),
+            "data": as_json(self.data, not_finite=str),
         }
 
 
@@ -87,7 +85,7 @@ def decode_event(payload: bytes) -> Event:
 
 def json_text(data: Mapping[str, Any]) -> str:
     """A JSON object; what JSON cannot say becomes text."""
-    return json.dumps(_plain(data), allow_nan=False)
+    return json.dumps(as_json(data, not_finite=str), allow_nan=False)
 
 
 def json_object(text: str) -> dict[str, Any]:
@@ -99,20 +97,3 @@ def json_object(text: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ValueError("data that is no JSON object")
     return data
-
-
-def _plain(value: Any) -> Any:
-    """The value in terms of JSON; what JSON cannot say becomes text."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
-    return str(value)

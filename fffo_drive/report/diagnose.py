@@ -11,12 +11,11 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from ..diagnosis.gates import NEGLIGIBLE
 from ..diagnosis.results import Diagnosis, ErrorFigures, Finding, Interval, report
+from ..documents import as_json
 from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
@@ -83,7 +82,7 @@ def write_diagnosis_report(source: DiagnosisSource, diagnosis: Diagnosis, direct
         "opening": page.verdict.model_dump(mode="json"),
         "provenance": source.provenance.model_dump(mode="json"),
     }
-    paths.json.write_text(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+    paths.json.write_text(json.dumps(as_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
     return paths
 
 
@@ -428,18 +427,3 @@ def _experiments(accepted: Sequence[Finding]) -> tuple[Listing, ...]:
     text = "\n".join(_wrapped(f"{names_of([f.name, *f.alternatives])}: {f.experiment}") for f in open_)
     note = "The motion that separates the members of a family; `fffo-drive run AXIS --decide EFFECT` records it."
     return (Listing(name="experiments", title="Deciding experiments", note=note, text=text),)
-
-
-def _plain(content: Any) -> Any:
-    """Records, arrays and numpy numbers as JSON has them; None for a number that is not finite."""
-    if isinstance(content, dict):
-        return {str(key): _plain(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple, np.ndarray)):
-        return [_plain(value) for value in content]
-    if isinstance(content, (bool, np.bool_)):
-        return bool(content)
-    if isinstance(content, (int, np.integer)):
-        return int(content)
-    if isinstance(content, (float, np.floating)):
-        return float(content) if math.isfinite(content) else None
-    return content if content is None else str(content)

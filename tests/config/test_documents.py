@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import tracemalloc
+from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +20,7 @@ from fffo_drive.documents import (
     MOST_ENTRIES,
     DocumentError,
     StrictRecord,
+    as_json,
     check,
     load_json,
     parse,
@@ -186,3 +190,12 @@ def test_any_content_is_taken_or_refused_in_our_words(content):
     for name, value in content.items():
         assert isinstance(value, bool) == isinstance(getattr(record, name), bool)
         assert isinstance(value, str) == isinstance(getattr(record, name), str)
+
+
+def test_a_value_in_terms_of_json():
+    """A report has null for a number that is not finite; an event says which one it was."""
+    value = {1: np.array([1.5, np.nan]), "on": np.bool_(True), "count": np.int32(3), "where": (Path("a"), {2})}
+    assert as_json(value) == {"1": [1.5, None], "on": True, "count": 3, "where": ["a", [2]]}
+    assert as_json(value, not_finite=str)["1"] == [1.5, "nan"]
+    assert as_json(np.float64(-np.inf)) is None
+    assert json.dumps(as_json([True, None, np.float32(0.5)]), allow_nan=False) == "[true, null, 0.5]"

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from interpreted import hex_results
 
 from fffo_drive.control import envelope as env
-from fffo_drive.daemon.watch import TRIP_NAMES
 
 TABLE = Path(__file__).resolve().parents[2] / "tools" / "tables" / "faults.md"
 COAST, QUICK = "coasts", "quick stop"
@@ -165,7 +164,7 @@ WORDS = {env.REACTION_COAST: "coast (disable voltage)", env.REACTION_QUICK_STOP:
 def reactions() -> str:
     """The trips, with what they lead to."""
     lines = [
-        f"| `{TRIP_NAMES[trip]}` | {env.TRIP_TEXTS[trip]} | {WORDS[reaction]} | {why} |"
+        f"| `{env.TRIP_NAMES[trip]}` | {env.TRIP_TEXTS[trip]} | {WORDS[reaction]} | {why} |"
         for trip, (reaction, why) in env.DEFAULT_REACTIONS.items()
     ]
     return REACTIONS_HEAD + "\n".join(lines) + "\n"

@@ -14,7 +14,7 @@ import fffo_drive as fd
 from fffo_drive.fleet.measure import measured
 from fffo_drive.fleet.place import digest_of
 from fffo_drive.fleet.regress import PARAMETERS, Balance, balance_columns, balance_of, solve
-from fffo_drive.fleet.schema import BAND_EDGES_HZ, NAMES, RECORD_SCHEMA, file_bytes, table_of
+from fffo_drive.fleet.schema import BAND_EDGES_HZ, RECORD_SCHEMA, file_bytes, table_of
 from fffo_drive.identification.dataset import DataError, load_record
 from fffo_drive.identification.kinematics import DEFAULT_CUTOFF_HZ
 from fffo_drive.identification.rows import delay_between, rows_at, stretches_of
@@ -63,7 +63,7 @@ def test_every_column_is_filled_and_ticks_are_those_of_the_recording(recordings)
     made = record(recordings[0], None)
     given = {"drive", "model", "path", "start"}
     without = {"temperature_degc", "temperature_low_degc", "temperature_high_degc"}
-    assert set(made) == set(NAMES) - given - without
+    assert set(made) == set(RECORD_SCHEMA.names) - given - without
     assert made["ticks"] == len(run.rows)
     assert made["late"] == int(run.rows["late"].sum())
     assert made["skipped"] == int(run.rows["tick"][-1] - run.rows["tick"][0]) + 1 - len(run.rows)
@@ -124,7 +124,7 @@ def test_a_record_takes_at_most_4_kb(recordings):
     rows = [_shaken(made, draw, number) for number in range(300)]
     assert len(file_bytes(table_of(rows))) / len(rows) < LARGEST_BYTES
     assert pa.types.is_timestamp(RECORD_SCHEMA.field("start").type)
-    assert set(PARAMETERS) < set(NAMES)
+    assert set(PARAMETERS) < set(RECORD_SCHEMA.names)
 
 
 def _shaken(row, draw, number):

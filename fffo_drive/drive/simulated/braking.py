@@ -15,8 +15,7 @@ from .cia402_device import QUICK_STOP_STAYS
 # kinds of brake; the values are the option codes without the "stay in quick stop" offset of 4
 COAST = 0
 SLOW_RAMP = 1
-QUICK_RAMP = 2
-CURRENT_LIMIT = 3
+CURRENT_LIMIT = 3  # 2: the quick stop ramp
 
 _STAY_OFFSET = 4
 

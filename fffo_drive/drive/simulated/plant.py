@@ -10,6 +10,7 @@ code is skipped.
 from __future__ import annotations
 
 from ...jit import njit
+from ...units import TWO_PI
 from . import state as at
 from .current_loop import current_step, transport_step
 from .effects.stages import Effects, effects_on_demand, effects_on_sensor, effects_on_shaft, effects_on_torque
@@ -19,7 +20,6 @@ from .resolver import resolver_step
 from .state import STEP_S, SUBSTEPS_PER_S, Floats, Integers, PlantParameters, PlantState
 
 _ROUGH_RPS = 0.5  # speed at which half of the roughness acts
-_TWO_PI = 6.283185307179586
 
 
 @njit
@@ -36,7 +36,7 @@ def _roughness(c: Floats, x: Floats, words: Integers) -> float:
 def _warm_up(c: Floats, x: Floats) -> None:
     current_a = x[at.CURRENT_A]
     loss_w = c[at.RESISTANCE_OHM] * current_a * current_a
-    loss_w += _TWO_PI * abs(x[at.FRICTION_NM] * x[at.VELOCITY_RPS])
+    loss_w += TWO_PI * abs(x[at.FRICTION_NM] * x[at.VELOCITY_RPS])
     x[at.TEMPERATURE_K] += c[at.WARMING_K_PER_W] * loss_w - c[at.COOLING] * x[at.TEMPERATURE_K]
 
 

@@ -6,10 +6,10 @@ import math
 
 from ...arrays import Floats
 from ...jit import njit
+from ...units import TWO_PI
 from ..friction import PRESLIDING_OVER, stribeck_share, torque_after
 from . import slots as s
 
-TURN = 2.0 * math.pi
 LEAST_LEVEL = 0.05  # smallest level of a surface, whatever an effect subtracts
 LEVEL_MEMORY = 6  # slots that surface_response keeps; over_step has another, the second after them
 
@@ -17,7 +17,7 @@ LEVEL_MEMORY = 6  # slots that surface_response keeps; over_step has another, th
 @njit
 def wave(cosine: float, sine: float, turns: float) -> float:
     """cosine cos(2 pi turns) + sine sin(2 pi turns)."""
-    angle = TURN * turns
+    angle = TWO_PI * turns
     return cosine * math.cos(angle) + sine * math.sin(angle)
 
 

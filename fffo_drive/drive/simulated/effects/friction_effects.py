@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ....jit import njit
+from ....units import TWO_PI
 from . import slots as s
 from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
 
 if TYPE_CHECKING:
     from ..parameters import PlantConfig
-
-_TURN = 2.0 * math.pi
 
 
 @njit
@@ -71,7 +70,7 @@ def position_dependent_friction(signals: Vector, parameters: Vector, memory: Vec
     wave_share, window_share, period_rev = parameters[0], parameters[1], parameters[2]
     centre_rev, width_rev = parameters[3], parameters[4]
     angle_rev = signals[s.ANGLE_REV]
-    scale = 1.0 + wave_share * math.cos(_TURN * angle_rev / period_rev)
+    scale = 1.0 + wave_share * math.cos(TWO_PI * angle_rev / period_rev)
     periods = (angle_rev - centre_rev) / period_rev
     away_rev = period_rev * (periods - math.floor(periods + 0.5))
     if abs(away_rev) < 0.5 * width_rev:
@@ -83,7 +82,7 @@ def position_dependent_friction(signals: Vector, parameters: Vector, memory: Vec
 def friction_ripple(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """The level varies with the motor angle: a ripple that changes its sign with the direction."""
     share, order, phase_rev = parameters[0], parameters[1], parameters[2]
-    signals[s.LEVEL_SCALE] *= 1.0 + share * math.cos(_TURN * (order * signals[s.ANGLE_REV] + phase_rev))
+    signals[s.LEVEL_SCALE] *= 1.0 + share * math.cos(TWO_PI * (order * signals[s.ANGLE_REV] + phase_rev))
 
 
 @njit
@@ -110,7 +109,7 @@ def thermal_drift(signals: Vector, parameters: Vector, memory: Vector) -> None:
     memory[0]: temperature rise in kelvin, first order in the power that base friction turns into heat.
     """
     per_k, k_per_w, time_constant_s = parameters[0], parameters[1], parameters[2]
-    power_w = _TURN * abs(signals[s.FRICTION_NM] * signals[s.VELOCITY_RPS])
+    power_w = TWO_PI * abs(signals[s.FRICTION_NM] * signals[s.VELOCITY_RPS])
     memory[0] += (power_w * k_per_w - memory[0]) * signals[s.STEP_S] / time_constant_s
     signals[s.VISCOUS_SCALE] *= math.exp(per_k * memory[0])
 

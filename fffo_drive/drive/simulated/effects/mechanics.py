@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ....jit import njit
+from ....units import TWO_PI
 from . import slots as s
 from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
@@ -14,7 +15,6 @@ from .slots import Vector
 if TYPE_CHECKING:
     from ..parameters import PlantConfig
 
-_TURN = 2.0 * math.pi
 _CREEP_RPS = 0.02  # speed at which the load's own friction acts in full
 
 
@@ -22,7 +22,7 @@ _CREEP_RPS = 0.02  # speed at which the load's own friction acts in full
 def _joint(load_share: float, frequency_hz: float, inertia: float) -> tuple[float, float]:
     """Inertia of the load, and stiffness (Nm/rev) that gives motor against load this resonance."""
     load_inertia = load_share * inertia
-    angular = _TURN * frequency_hz
+    angular = TWO_PI * frequency_hz
     return load_inertia, angular * angular * load_inertia * (1.0 - load_share)
 
 
@@ -34,7 +34,7 @@ def elasticity(signals: Vector, parameters: Vector, memory: Vector) -> None:
     reduced_inertia = load_inertia * (1.0 - load_share)
     slip_rps = signals[s.VELOCITY_RPS] - memory[0]
     twist_rev = memory[1] + slip_rps * signals[s.STEP_S]
-    joint_nm = stiffness * twist_rev + 2.0 * damping * _TURN * frequency_hz * reduced_inertia * slip_rps
+    joint_nm = stiffness * twist_rev + 2.0 * damping * TWO_PI * frequency_hz * reduced_inertia * slip_rps
     memory[0] += joint_nm / load_inertia * signals[s.STEP_S]
     memory[1] = twist_rev
     signals[s.ADDED_TORQUE_NM] -= joint_nm
@@ -55,7 +55,7 @@ def backlash(signals: Vector, parameters: Vector, memory: Vector) -> None:
     )
     step_s = signals[s.STEP_S]
     load_inertia, stiffness = _joint(load_share, contact_hz, signals[s.INERTIA_NM_S2_PER_REV])
-    damping = 0.5 * stiffness / (_TURN * contact_hz)
+    damping = 0.5 * stiffness / (TWO_PI * contact_hz)
     slip_rps = signals[s.VELOCITY_RPS] - memory[0]
     lead_rev = memory[1] + slip_rps * step_s
     joint_nm = 0.0
@@ -75,8 +75,8 @@ def backlash(signals: Vector, parameters: Vector, memory: Vector) -> None:
 def resolver_error(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """Eccentricity and winding errors: first and second harmonics of the angle are read on top of it."""
     angle_rev = signals[s.ANGLE_REV]
-    error_rev = parameters[0] * math.cos(_TURN * (angle_rev + parameters[1]))
-    error_rev += parameters[2] * math.cos(_TURN * (2.0 * angle_rev + parameters[3]))
+    error_rev = parameters[0] * math.cos(TWO_PI * (angle_rev + parameters[1]))
+    error_rev += parameters[2] * math.cos(TWO_PI * (2.0 * angle_rev + parameters[3]))
     signals[s.SENSED_REV] += error_rev
 
 

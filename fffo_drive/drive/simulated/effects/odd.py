@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 
 from ....jit import njit
+from ....units import TWO_PI
 from . import slots as s
 from .declaration import PlantEffect, PlantParameter
 from .friction_effects import direction_of
 from .slots import Vector
-
-_TURN = 2.0 * math.pi
 
 
 @njit
@@ -30,7 +29,7 @@ def odd_speed_band(signals: Vector, parameters: Vector, memory: Vector) -> None:
 def odd_direction_angle(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """Friction that helps in one half of the output turn, hinders in the other: sgn(w) cos(output angle)."""
     output_rev = signals[s.ANGLE_REV] / signals[s.GEAR_RATIO]
-    torque_nm = parameters[0] * math.cos(_TURN * (output_rev + parameters[1]))
+    torque_nm = parameters[0] * math.cos(TWO_PI * (output_rev + parameters[1]))
     signals[s.ADDED_FRICTION_NM] += torque_nm * direction_of(signals[s.VELOCITY_RPS])
 
 

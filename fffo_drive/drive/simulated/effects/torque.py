@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ....jit import njit
+from ....units import TWO_PI
 from . import slots as s
 from .declaration import PlantEffect, PlantParameter, Values
 from .slots import Vector
 
 if TYPE_CHECKING:
     from ..parameters import PlantConfig
-
-_TURN = 2.0 * math.pi
 
 
 @njit
@@ -27,28 +26,28 @@ def torque_offset(signals: Vector, parameters: Vector, memory: Vector) -> None:
 def cogging(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """A torque that is periodic in the motor angle and keeps its sign when the direction changes."""
     amplitude_nm, order, phase_rev = parameters[0], parameters[1], parameters[2]
-    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(_TURN * (order * signals[s.ANGLE_REV] + phase_rev))
+    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(TWO_PI * (order * signals[s.ANGLE_REV] + phase_rev))
 
 
 @njit
 def unbalance(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """Weight of the load: a torque that is periodic in the angle of the gear's output."""
     output_rev = signals[s.ANGLE_REV] / signals[s.GEAR_RATIO]
-    signals[s.ADDED_TORQUE_NM] += parameters[0] * math.sin(_TURN * (output_rev + parameters[1]))
+    signals[s.ADDED_TORQUE_NM] += parameters[0] * math.sin(TWO_PI * (output_rev + parameters[1]))
 
 
 @njit
 def periodic_disturbance(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """A torque that is periodic in time, such as a neighbouring machine makes."""
     amplitude_nm, frequency_hz, phase_rev = parameters[0], parameters[1], parameters[2]
-    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(_TURN * (frequency_hz * signals[s.TIME_S] + phase_rev))
+    signals[s.ADDED_TORQUE_NM] += amplitude_nm * math.sin(TWO_PI * (frequency_hz * signals[s.TIME_S] + phase_rev))
 
 
 @njit
 def torque_ripple(signals: Vector, parameters: Vector, memory: Vector) -> None:
     """The torque constant varies with the motor angle: a ripple in proportion to the current."""
     share, order, phase_rev = parameters[0], parameters[1], parameters[2]
-    signals[s.TORQUE_NM] *= 1.0 + share * math.cos(_TURN * (order * signals[s.ANGLE_REV] + phase_rev))
+    signals[s.TORQUE_NM] *= 1.0 + share * math.cos(TWO_PI * (order * signals[s.ANGLE_REV] + phase_rev))
 
 
 @njit

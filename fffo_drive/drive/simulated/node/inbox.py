@@ -21,8 +21,7 @@ NOTHING = 0  # the deadline has come, or a signal
 BOXED = 1 << 16  # flag of a result: a box holds a frame
 
 # words of the memory; a frame is two of them: identifier and length, then the data
-SCRATCH = 0  # 4, for C structures
-FRAME = 4
+FRAME = 4  # before it: 4 for C structures
 HEAD = 6  # BOXES: the first word of frames that go into a box; NO_BOX: none
 KEPT = HEAD + BOXES  # BOXES frames
 ARRIVAL = KEPT + 2 * BOXES  # BOXES: when they came, in ns; 0: empty

@@ -6,8 +6,9 @@ import math
 
 from ....arrays import Floats
 from ....jit import njit
+from ....units import TWO_PI
 from .. import slots as s
-from ..kinds import TURN, before_step
+from ..kinds import before_step
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape, geometric
 
 FINEST = 0.25  # of a radian of the contact's resonance in a sub-step
@@ -34,7 +35,7 @@ def _load_rps2(signals: Floats, parameters: Floats, memory: Floats) -> float:
     memory: speed of the load, lead of the motor, speed of the motor before.
     """
     share, gap_rev, friction_share, contact_hz = parameters[0], parameters[1], parameters[2], parameters[3]
-    omega = TURN * contact_hz
+    omega = TWO_PI * contact_hz
     count = math.ceil(omega * signals[s.STEP_S] / FINEST)
     step_s = signals[s.STEP_S] / count
     inertia = signals[s.INERTIA_NM_S2_PER_REV]

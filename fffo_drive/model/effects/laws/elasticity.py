@@ -6,8 +6,9 @@ import math
 
 from ....arrays import Floats
 from ....jit import njit
+from ....units import TWO_PI
 from .. import slots as s
-from ..kinds import TURN, before_step
+from ..kinds import before_step
 from ..law import SHAPE, STRENGTH, Law, Parameter, SearchContext, Shape
 
 FINEST = 0.2  # of a radian of the resonance in a sub-step
@@ -32,7 +33,7 @@ def _load_rps2(signals: Floats, parameters: Floats, memory: Floats) -> float:
     A damped spring whose resonance, motor against load, is given; as many sub-steps as the resonance needs.
     """
     share, frequency_hz, damping = parameters[0], parameters[1], parameters[2]
-    omega = TURN * frequency_hz
+    omega = TWO_PI * frequency_hz
     count = math.ceil(omega * signals[s.STEP_S] / FINEST)
     step_s = signals[s.STEP_S] / count
     stiff, damp = omega * omega * (1.0 - share), 2.0 * damping * omega * (1.0 - share)

@@ -15,8 +15,9 @@ from pydantic import Field
 from ....arrays import Floats
 from ....documents import StrictRecord
 from ....jit import njit
+from ....units import TWO_PI
 from .. import slots as s
-from ..kinds import TURN, approach
+from ..kinds import approach
 from ..law import SHAPE, STRENGTH, Axis, Law, Parameter, SearchContext, Shape
 
 UNKNOWN = "unknown:"
@@ -121,7 +122,7 @@ def response(signals: Floats, parameters: Floats, memory: Floats, count: int) ->
     step_s, torque_nm = signals[s.STEP_S], signals[s.MOTOR_TORQUE_NM]
     load_nm = 0.0
     for k in range(count):
-        turn = TURN * parameters[FIRST_X + k] * step_s
+        turn = TWO_PI * parameters[FIRST_X + k] * step_s
         x, y = memory[2 * k], memory[2 * k + 1]
         x += turn * (2.0 * DAMPING * (torque_nm - x) - y)
         y += turn * x

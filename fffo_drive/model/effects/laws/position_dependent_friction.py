@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from ....arrays import Floats
 from ....jit import njit
+from ....units import TWO_PI
 from .. import slots as s
-from ..kinds import TURN, level_response, over_step, wave
+from ..kinds import level_response, over_step, wave
 from ..law import SHAPE, STRENGTH, Folded, Law, Parameter, SearchContext, Shape, slow_periods_rev
 
 WIDTH_SHARES = (0.06, 0.15)  # of the travel
@@ -63,7 +64,7 @@ def position_dependent_friction(signals: Floats, parameters: Floats, memory: Flo
         if inside >= 1.0:
             scale += parameters[2]
         elif inside > 0.0:
-            scale += parameters[2] * 0.5 * (1.0 - math.cos(0.5 * TURN * inside))
+            scale += parameters[2] * 0.5 * (1.0 - math.cos(0.5 * TWO_PI * inside))
     signals[s.LOAD_NM] += level_response(signals, memory, scale)
 
 
