@@ -49,11 +49,39 @@ def test_files_that_were_changed_stay_unless_they_are_to_be_replaced(tmp_path, c
     assert main(["init", str(tmp_path)]) == 78
     said = capsys.readouterr().err
     assert str(mine) in said
+    assert "--missing writes only files that are not there" in said
     assert "--force" in said
     assert mine.read_text() == "name: mine\n"
     assert not (tmp_path / "configs" / "facts.yaml").exists()  # all or nothing
     assert main(["init", str(tmp_path), "--force"]) == 0
     assert files_below(tmp_path / "configs") == files_below(CONFIGS)
+
+
+def test_missing_adds_what_is_not_there_and_names_what_it_leaves_alone(tmp_path, capsys):
+    """As after an upgrade with a new example, and one that the user edited."""
+    assert main(["init", str(tmp_path)]) == 0
+    mine = tmp_path / "configs" / "axis_simulated.yaml"
+    mine.write_text("name: mine\n")
+    new = tmp_path / "configs" / "scenarios" / "paper.yaml"
+    new.unlink()
+    capsys.readouterr()
+    assert main(["init", str(tmp_path), "--missing"]) == 0
+    written, left = capsys.readouterr().out.split("left alone")
+    assert f"  {new}\n" in written
+    assert f"  {mine}\n" in left
+    assert str(mine) not in written
+    assert f"unchanged examples: {len(files_below(CONFIGS)) - 2}\n" in left
+    assert mine.read_text() == "name: mine\n"
+    assert files_below(tmp_path / "configs") == files_below(CONFIGS) | {Path("axis_simulated.yaml"): b"name: mine\n"}
+    assert main(["init", str(tmp_path / "empty"), "--missing"]) == 0
+    assert files_below(tmp_path / "empty" / "configs") == files_below(CONFIGS)
+    assert "left alone" not in capsys.readouterr().out
+
+
+def test_missing_and_force_are_not_both_meant(tmp_path):
+    with pytest.raises(SystemExit):
+        main(["init", str(tmp_path), "--missing", "--force"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_list_has_a_line_for_each_file_and_writes_nothing(tmp_path, capsys, monkeypatch):
