@@ -19,11 +19,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import DISABLED, SAME_AXIS, Gate, roll_back
 from ..config.axis import read_axis
 from ..daemon.serving import torque_on
 from ..documents import DocumentError
-from ..workflows.adopt import adopt
+from ..workflows.adopt import adopt, roll_back
+from ..workflows.adoption_gates import DISABLED, SAME_AXIS, Gate
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
 
 EXIT_REFUSED = 1

@@ -28,10 +28,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ..config.adoption import Gate
 from ..documents import DocumentError
 from ..report.circle import CircleSource, Tracking, as_object
 from ..runtime.runs import timestamp_name
+from ..workflows.adoption_gates import Gate
 from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
 from ..workflows.circle_runs import CircleWish
 from .adopt import print_gates, refusal

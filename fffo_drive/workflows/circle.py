@@ -13,15 +13,6 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from ..config.adoption import (
-    STABILITY,
-    Gate,
-    gates,
-    held_out_gate,
-    put_in_service,
-    read_report,
-    refused_effects,
-)
 from ..config.axis import AxisFile, build_profile, model_of, read_axis
 from ..config.checks import motion_problems
 from ..config.drive_section import CanopenDriveSection
@@ -36,6 +27,8 @@ from ..model.parameters import ModelFile, read_model
 from ..report.circle import KIND, CircleRun, CircleSource, circle_report, tracking_of
 from ..report.document import provenance, source_file
 from ..report.page import refuse_other_report, write_report
+from .adopt import put_in_service, read_report
+from .adoption_gates import STABILITY, Gate, gates, held_out_gate, refused_effects
 from .circle_runs import Circle, CircleWish, RecordedRun, SpoiledRunError, change, changed, write_axis, write_simulated
 from .diagnose import MODEL_NAME, diagnose_recordings
 from .errors import DriveFaultError

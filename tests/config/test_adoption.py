@@ -14,19 +14,9 @@ import yaml
 
 from fffo_drive.cli import main
 from fffo_drive.cli.run import next_step
-from fffo_drive.config.adoption import (
-    compensation_gate,
-    gates,
-    held_out_gate,
-    history_path,
-    interval_gate,
-    put_in_service,
-    read_history,
-    rename_model,
-    roll_back,
-    stability_gate,
-)
+from fffo_drive.config.adoption import history_path, read_history
 from fffo_drive.config.axis import AxisFile, build_profile, model_of, read_axis
+from fffo_drive.config.axis_text import replace_file, with_line
 from fffo_drive.config.effects import (
     angle_slope_nm_per_rev,
     compensated_terms,
@@ -40,6 +30,8 @@ from fffo_drive.daemon.places import WATCH
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.table import Term
 from fffo_drive.model.parameters import EffectModel, Provenance, Quantity, read_model, write_model
+from fffo_drive.workflows.adopt import put_in_service, roll_back
+from fffo_drive.workflows.adoption_gates import compensation_gate, gates, held_out_gate, interval_gate, stability_gate
 from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -217,7 +209,7 @@ def axis_path(tmp_path):
 
 def test_the_model_line_is_replaced_and_nothing_else(axis_path):
     before = axis_path.read_text()
-    rename_model(axis_path, "found/model.yaml")
+    replace_file(axis_path, with_line(axis_path, "model", "found/model.yaml"))
     after = axis_path.read_text()
     assert "model: found/model.yaml   # as printed" in after
     assert after.replace("found/model.yaml", "table1.yaml") == before
@@ -234,7 +226,7 @@ def test_into_service_and_back(axis_path):
     with pytest.raises(DocumentError, match="nothing was adopted"):
         roll_back(axis_path)
     put_in_service(axis_path, model_path, [])
-    rename_model(axis_path, "other.yaml")
+    replace_file(axis_path, with_line(axis_path, "model", "other.yaml"))
     with pytest.raises(DocumentError, match="edited since"):
         roll_back(axis_path)
 

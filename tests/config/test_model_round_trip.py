@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import yaml
 
-from fffo_drive.config.adoption import gates
 from fffo_drive.config.axis import model_of, read_axis
 from fffo_drive.config.effects import compensation_table, services, slope_margin
 from fffo_drive.control.compensation import COUNT, MOST_EFFECTS
@@ -33,6 +32,7 @@ from fffo_drive.model.effects.laws.lookup import (
 from fffo_drive.model.effects.registry import LAWS, vector_of
 from fffo_drive.model.effects.table import effect_table
 from fffo_drive.model.parameters import EffectModel, Quantity, effect_errors, effect_model, read_model, write_model
+from fffo_drive.workflows.adoption_gates import gates
 from fffo_drive.workflows.plan import make_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -12,12 +12,12 @@ from report.test_diagnose_command import NOTHING
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main
-from fffo_drive.config.adoption import Gate
 from fffo_drive.config.axis import read_axis
 from fffo_drive.diagnosis import diagnose as engine
 from fffo_drive.documents import DocumentError
 from fffo_drive.recording.reader import read_run
 from fffo_drive.signals import ROW
+from fffo_drive.workflows.adoption_gates import Gate
 from fffo_drive.workflows.circle import close_the_loop
 from fffo_drive.workflows.circle_runs import MOST_LOST, Circle, CircleWish, SpoiledRunError, health_of, write_axis
 

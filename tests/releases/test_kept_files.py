@@ -12,7 +12,7 @@ import pytest
 from fffo_drive import formats
 from fffo_drive.cli import main
 from fffo_drive.commissioning.record import read_record
-from fffo_drive.config.adoption import read_history, read_report
+from fffo_drive.config.adoption import read_history
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.drive_profile import read_profile
 from fffo_drive.config.scenario import read_scenario
@@ -26,6 +26,7 @@ from fffo_drive.model.effects.laws.lookup import CurveModel
 from fffo_drive.model.parameters import content_hash, effect_model, read_model
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recover import recover
+from fffo_drive.workflows.adopt import read_report
 from fffo_drive.workflows.plan import make_plan
 
 RELEASES = Path(__file__).resolve().parent
