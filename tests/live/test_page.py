@@ -35,7 +35,7 @@ def page(served, chromium):
 
 CURVES = [
     ("Velocity", "blue"), ("Velocity", "ink"), ("Error", "orange"), ("Current", "ink"), ("Current", "purple"),
-    ("Friction", "green"), ("Ticks", "purple"),
+    ("Friction", "green"), ("Position, rev", "blue"), ("Ticks", "purple"),
 ]  # fmt: skip
 
 

@@ -18,6 +18,8 @@ const PICTURES = [
     { name: "adapted_nm", label: "adapted", colour: "orange", width: 1.4, dash: [1, 2], perKt: true }] },
   { title: "Friction estimate", unit: "Nm", series: [
     { name: "friction_nm", label: "estimate", colour: "green", width: 1.8 }] },
+  { title: "Position", unit: "rev", series: [
+    { name: "position_rev", label: "position", colour: "blue", width: 1.8, band: true }] },
   { title: "Ticks, largest of 20 ms", unit: "µs", series: [
     { name: "lateness_ns", label: "lateness", part: 1, factor: 1e-3, colour: "purple", width: 1.2 },
     { name: "busy_ns", label: "work", part: 1, factor: 1e-3, colour: "grey", width: 1.2, dash: [4, 3] }] },
