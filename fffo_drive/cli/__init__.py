@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..workflows.progress import LINES_ENVIRONMENT
-from .exits import EXIT_INTERRUPTED, exit_code_of, message_of
+from .exits import EXIT_INTERRUPTED, EXIT_WRONG_USAGE, MEANINGS, exit_code_of, message_of
 
 # subcommand -> (module, one line for --help)
 COMMANDS = {
@@ -57,9 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="fffo-drive",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit codes: 0 done, 1 refused or failed a check, 2 wrong usage, 65 a diagnosis that held-out runs do "
-        "not confirm, 69 bus unavailable, 70 drive fault, 74 disk error, 77 real-time rights refused, 78 bad input, "
-        "130 interrupted",
+        epilog="\n".join(("exit codes:", *(f"  {code:<4}{text}" for code, text in MEANINGS.items()))),
     )
     parser.add_argument("--version", action="version", version=f"fffo-drive {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -113,4 +111,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if near:
         parser.error(f"argument COMMAND: invalid choice: '{command}'; did you mean '{near[0]}'?")
     parser.parse_args(words)
-    return 2
+    return EXIT_WRONG_USAGE

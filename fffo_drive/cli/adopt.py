@@ -4,8 +4,9 @@ The drive must be disabled. AXIS.adoptions.yaml records the previous model; --ro
 start (or `fffo-drive ctl reload` of a daemon) the controller compensates every effect that can be compensated, and a
 monitor takes an effect out of service if tracking is worse with it (controller.effects.monitor).
 
-Exit codes: 0 adopted (with --dry-run: all gates passed), 1 a gate refuses it, 70 the axis's daemon has torque on, 74
-the axis file cannot be written, 78 a file is missing or damaged, or the model is of another axis.
+Exit codes: 0 adopted (with --dry-run: all gates passed), 1 another gate refuses it, 65 held-out runs do not confirm it
+or are missing, 70 the axis's daemon has torque on, 74 the axis file cannot be written, 78 a file is missing or damaged,
+or the model is of another axis.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from ..config.axis import read_axis
 from ..daemon.serving import torque_on
 from ..documents import DocumentError
 from ..workflows.adopt import adopt, roll_back
-from ..workflows.adoption_gates import DISABLED, SAME_AXIS, Gate
-from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
+from ..workflows.adoption_gates import DISABLED, HELD_OUT, SAME_AXIS, Gate
+from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_NOT_CONFIRMED, EXIT_REFUSED
 
-EXIT_REFUSED = 1
-EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT}  # the first that applies, in this order
+# the first that applies, in this order
+EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT, HELD_OUT: EXIT_NOT_CONFIRMED}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

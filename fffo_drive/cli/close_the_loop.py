@@ -9,9 +9,9 @@ findings.
 With a simulated drive the timeouts are longer. If the machine is too busy, a run is repeated; if that is not enough,
 all runs are repeated at 1000 or 500 Hz. On hardware a disturbed run is an error.
 
-Exit codes: 0 adopted, or nothing found; 1 not adopted: a gate refuses the finding, no effect in it can be compensated,
-or the held-out run does not confirm it; 69 no bus; 70 drive fault, or this machine can keep none of the rates; 74 disk
-error; 77 real-time rights refused; 78 bad input.
+Exit codes: 0 adopted, or nothing found; 1 not adopted: a gate refuses the finding, or no effect in it can be
+compensated; 65 not adopted: the held-out run does not confirm the finding; 69 no bus; 70 drive fault, or this machine
+can keep none of the rates; 74 disk error; 77 real-time rights refused; 78 bad input.
 """
 
 from __future__ import annotations
@@ -34,11 +34,9 @@ from ..runtime.runs import timestamp_name
 from ..workflows.adoption_gates import Gate
 from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
 from ..workflows.circle_runs import CircleWish
-from .adopt import print_gates, refusal
-from .exits import EXIT_NOTHING_CARRIES_OVER
+from .adopt import exit_code, print_gates, refusal
+from .exits import EXIT_NOT_CONFIRMED
 from .progress import progress_bar
-
-EXIT_NOT_ADOPTED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,7 +81,7 @@ def execute(options: argparse.Namespace) -> int:
         raise keeps_no_rate(closed.trouble)
     if found and not closed.adopted:
         print(f"fffo-drive close-the-loop: {refusal(found)}", file=sys.stderr)
-        return EXIT_NOT_ADOPTED
+        return exit_code(found)
     return 0
 
 
@@ -105,7 +103,7 @@ def _diagnose(
         else:
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         code = diagnose.execute(parser.parse_args(words))
-    if code not in (0, EXIT_NOTHING_CARRIES_OVER):
+    if code not in (0, EXIT_NOT_CONFIRMED):
         raise DocumentError(f"{out}: the diagnosis ended with exit code {code}")
 
 

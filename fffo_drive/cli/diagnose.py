@@ -37,7 +37,7 @@ from ..model.effects.laws.lookup import KindWord
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
 from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
-from .exits import EXIT_NOTHING_CARRIES_OVER
+from .exits import EXIT_NOT_CONFIRMED
 from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
@@ -105,7 +105,7 @@ def execute(options: argparse.Namespace) -> int:
         if done.model is not None:
             print(done.model)
         print(done.page)
-    return EXIT_NOTHING_CARRIES_OVER if done.diagnosis.verdict == "nothing_carries_over" else 0
+    return EXIT_NOT_CONFIRMED if done.diagnosis.verdict == "nothing_carries_over" else 0
 
 
 def _require(options: argparse.Namespace, out: Path) -> None:

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING
 from ..system.doctor import as_json, as_text, counts, examine
 from ..system.findings import HostFinding, Severity, Wanted
 from ..system.host import Host
+from .exits import EXIT_REFUSED
 
 if TYPE_CHECKING:
     from ..system.bus_masters import BusMasters
-
-EXIT_FAILURES = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +57,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.record:
         host.write_record(Path(options.record))
     print(as_json(findings) if options.json else as_text(findings))
-    return EXIT_FAILURES if counts(findings)[Severity.FAILURE] else 0
+    return EXIT_REFUSED if counts(findings)[Severity.FAILURE] else 0
 
 
 def wanted_of(path: str | None, bus: str | None) -> Wanted:

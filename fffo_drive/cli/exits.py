@@ -1,4 +1,4 @@
-"""Exit codes (sysexits.h), and which error has which."""
+"""Exit codes (sysexits.h): one code for one meaning, and which error has which."""
 
 from __future__ import annotations
 
@@ -7,13 +7,28 @@ from ..documents import DocumentError
 from ..workflows.errors import DriveFaultError, RecordingGapError
 
 EXIT_OK = 0
-EXIT_NOTHING_CARRIES_OVER = 65  # a diagnosis whose effects the held-out runs refuse: there is no model
-EXIT_UNAVAILABLE = 69  # no bus, nobody answers
-EXIT_DRIVE_FAULT = 70  # the drive refuses or reports a fault, or the envelope tripped
+EXIT_REFUSED = 1
+EXIT_WRONG_USAGE = 2  # argparse's own
+EXIT_NOT_CONFIRMED = 65
+EXIT_UNAVAILABLE = 69
+EXIT_DRIVE_FAULT = 70
 EXIT_IO = 74
-EXIT_NOT_PERMITTED = 77  # real-time properties required and refused
+EXIT_NOT_PERMITTED = 77
 EXIT_BAD_INPUT = 78  # systemd does not restart on it
 EXIT_INTERRUPTED = 130
+
+MEANINGS = {  # for --help and the manual
+    EXIT_OK: "done",
+    EXIT_REFUSED: "a gate refuses, a check or a system program fails, or a replay differs from its recording",
+    EXIT_WRONG_USAGE: "wrong usage",
+    EXIT_NOT_CONFIRMED: "the held-out runs do not confirm a diagnosis",
+    EXIT_UNAVAILABLE: "no bus, or nobody answers",
+    EXIT_DRIVE_FAULT: "the drive refuses or reports a fault, or the envelope tripped",
+    EXIT_IO: "disk error",
+    EXIT_NOT_PERMITTED: "real-time rights are required and refused",
+    EXIT_BAD_INPUT: "bad input",
+    EXIT_INTERRUPTED: "interrupted",
+}
 
 
 class UnconfirmedError(Exception):

@@ -32,9 +32,8 @@ from ..system.system_commands import (
     is_live,
     run_commands,
 )
-from .exits import EXIT_BAD_INPUT
+from .exits import EXIT_BAD_INPUT, EXIT_REFUSED
 
-EXIT_INCOMPLETE = 1
 HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service: ProtectHome=, PrivateTmp=
 ACTIONS = (INSTALLED, UPDATED, UNCHANGED, REMOVED, KEPT)
 
@@ -73,7 +72,7 @@ def execute(options: argparse.Namespace) -> int:
         print(f"fffo-drive install: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     print(_as_json(outcomes, results) if options.json else _as_text(root, options.uninstall, outcomes, results))
-    return EXIT_INCOMPLETE if any(result.problem for result in results) else 0
+    return EXIT_REFUSED if any(result.problem for result in results) else 0
 
 
 def _program(options: argparse.Namespace) -> Path:

@@ -17,8 +17,7 @@ from pathlib import Path
 
 from ..evaluation.replay_runs import ReplayReport
 from ..workflows.replay import replay_files, with_continuations
-
-EXIT_DIFFERENT = 1
+from .exits import EXIT_REFUSED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +35,7 @@ def execute(options: argparse.Namespace) -> int:
         print(json.dumps(as_json(report, files), indent=2))
     else:
         print("\n".join(sentences(files, report, options.other)))
-    return 0 if report.exact or options.other else EXIT_DIFFERENT
+    return 0 if report.exact or options.other else EXIT_REFUSED
 
 
 def as_json(report: ReplayReport, files: Iterable[Path]) -> dict[str, object]:

@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..cli import COMMANDS, build_parser, parser_of
+from ..cli import COMMANDS, parser_of
 from ..cli.config import SCHEMAS
+from ..cli.exits import MEANINGS
 from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NAMES, TRIP_TEXTS
 from ..daemon.parameters import METHODS
 from ..daemon.states import markdown as states_markdown
@@ -84,7 +85,7 @@ def commands() -> str:
     lines += table(
         ("command", "what it does"), ((f"[`{name}`](#{name})", cell(text)) for name, (_, text) in COMMANDS.items())
     )
-    lines += ["## Exit codes", "", (build_parser().epilog or "").removeprefix("exit codes: ") + ".", ""]
+    lines += ["## Exit codes", "", *table(("code", "meaning"), MEANINGS.items())]
     for name in COMMANDS:
         lines += _command(parser_of(name), f"fffo-drive {name}", 2, name)
     return "\n".join(lines)

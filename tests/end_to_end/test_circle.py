@@ -79,7 +79,7 @@ def test_what_does_not_carry_over_to_the_run_that_was_held_out_is_not_adopted(tm
     monkeypatch.setattr(engine, "diagnose", lambda *given: NOTHING)
     axis = changed(tmp_path, "axis_undeclared.yaml", lambda axis: axis.update(profile=SHORT))
     out = tmp_path / "out"
-    assert main(["close-the-loop", axis, "--sim", SIM, "--out", str(out), "--quick", "--json"]) == 1
+    assert main(["close-the-loop", axis, "--sim", SIM, "--out", str(out), "--quick", "--json"]) == 65
     said = capsys.readouterr()
     result = json.loads(said.out)
     assert (result["verdict"], result["effects"], result["adopted"]) == ("nothing_carries_over", [], False)

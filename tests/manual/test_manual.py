@@ -17,10 +17,11 @@ from manual.blocks import PAGES, agrees, blocks_of
 
 from fffo_drive.cli import COMMANDS, parser_of
 from fffo_drive.cli.config import SCHEMAS
+from fffo_drive.cli.exits import MEANINGS
 from fffo_drive.daemon.parameters import METHODS
 from fffo_drive.manual import building
 from fffo_drive.manual.building import ManualError, build
-from fffo_drive.manual.reference import unit_of
+from fffo_drive.manual.reference import commands, unit_of
 from fffo_drive.model.effects.registry import LAWS
 from fffo_drive.signals import SIGNALS
 
@@ -105,6 +106,20 @@ def test_the_unit_of_a_key_is_the_one_that_it_is_declared_with():
     declared = {key: re.search(r"\[(.+)\]$", entry["description"]) for key, entry in keys if "description" in entry}
     units = {key: found[1] for key, found in declared.items() if found}
     assert {key: unit_of(key) for key in units} == {key: as_printed.get(unit, unit) for key, unit in units.items()}
+
+
+CODE = re.compile(r"(?<![\w.])(\d+)\s[a-z]")
+
+
+def test_an_exit_code_of_a_command_or_of_the_manual_is_one_of_the_table():
+    page = (ROOT / "fffo_drive" / "manual" / "pages" / "howto" / "troubleshooting.md").read_text(encoding="utf-8")
+    assert [int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)] == [c for c in MEANINGS if c]
+    for command in COMMANDS:
+        codes = re.search(r"exit codes: (.*?)(\n\n|$)", parser_of(command).description or "", re.DOTALL | re.IGNORECASE)
+        if codes is not None:
+            assert {int(code) for code in CODE.findall(codes[1])} <= set(MEANINGS), command
+    rows = commands().partition("## Exit codes")[2].partition("##")[0]
+    assert all(f"| {code} | {text} |" in rows for code, text in MEANINGS.items())
 
 
 @pytest.mark.parametrize("page", SOURCES, ids=lambda p: p.stem)
