@@ -16,6 +16,7 @@ FLOORS = {
     "jit": 0.25, "documents": 0.25, "packing": 0.25,
     "model": 0.5,
     "control": 1, "can": 1, "recording": 1,
+    "canopen_node": 1.5,
     "drive": 2,
     "runtime": 3, "identification": 3,
     "importing": 3.5,
@@ -81,7 +82,7 @@ def test_the_page_of_the_manual_has_every_part_in_the_layer_that_is_held_here():
         if len(cells) < 5 or not cells[2].startswith("`"):
             continue
         layer = int(cells[1]) if cells[1].isdigit() else layer
-        found |= {name.rstrip("/"): layer for name in re.findall(r"`([a-z]+/?)`", cells[2])}
+        found |= {name.rstrip("/"): layer for name in re.findall(r"`([a-z_]+/?)`", cells[2])}
     assert found == {name: int(floor) for name, floor in FLOORS.items()}
 
 
@@ -100,6 +101,11 @@ def test_the_simulated_drive_shares_nothing_with_the_model():
     for path in (PACKAGE / "drive" / "simulated").rglob("*.py"):
         for name in imported_modules(path):
             assert not name.startswith(("fffo_drive.model", "fffo_drive.control")), f"{path} imports {name}"
+
+
+def test_the_canopen_node_serves_any_device():
+    for path in (PACKAGE / "canopen_node").rglob("*.py"):
+        assert {name.split(".")[1] for name in imported_modules(path)} <= {"canopen_node", "can", "jit"}, path
 
 
 def test_the_envelope_knows_none_of_the_controllers():

@@ -70,7 +70,7 @@ class FaultWorld(World):
     def _look(self) -> None:
         node = self.node
         node.bus.now_ns = self.now_ns
-        node._advance()
+        node.advance()
         node.drive.update()
         drive, plant = node.drive, node.drive.plant
         speed_rps = abs(plant.true_velocity_rps)

@@ -6,8 +6,9 @@ import pytest
 from daemon.fault_table import GOES_ON, QUICK, ROWS, TABLE, markdown, measured
 from shared_once import once
 
+from fffo_drive.canopen_node import emcy
 from fffo_drive.control import envelope as env
-from fffo_drive.drive.simulated.node import emcy
+from fffo_drive.drive.simulated.node.objects import OVERCURRENT, RESOLVER
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -25,7 +26,7 @@ NOTICED = {
     "commands_missing": (env.TRIP_EMERGENCY, [emcy.RPDO_TIMEOUT]),
     "our_heartbeat_lost": (env.TRIP_EMERGENCY, [emcy.HEARTBEAT_LOSS]),
     "drive_heartbeat_lost": (env.TRIP_HEARTBEAT, []),
-    "drive_fault": (env.TRIP_EMERGENCY, [emcy.OVERCURRENT]),
+    "drive_fault": (env.TRIP_EMERGENCY, [OVERCURRENT]),
     "emergency": (env.TRIP_EMERGENCY, [emcy.MANUFACTURER]),
     "warning": (env.TRIP_NONE, [0xFF42]),
     "local_control": (env.TRIP_LOCAL_CONTROL, []),
@@ -33,7 +34,7 @@ NOTICED = {
     "drive_rebooted": (env.TRIP_REBOOT, []),
     "drive_not_operational": (env.TRIP_NOT_OPERATIONAL, []),
     "supply_lost": (env.TRIP_EMERGENCY, []),
-    "resolver_lost": (env.TRIP_EMERGENCY, [emcy.RESOLVER]),
+    "resolver_lost": (env.TRIP_EMERGENCY, [RESOLVER]),
     "drive_bus_off": (env.TRIP_BUS_OFF, []),
     "bus_off": (env.TRIP_BUS_OFF, []),
     "interface_gone": (env.TRIP_BUS_OFF, []),

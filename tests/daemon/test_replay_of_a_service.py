@@ -10,7 +10,7 @@ import yaml
 from daemon.rig import Rig, edit
 from daemon.test_supervisor import refused
 
-from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
+from fffo_drive.drive.simulated.node.objects import OVERCURRENT
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import RecordKind
 from fffo_drive.workflows.replay import replay_files, with_continuations

@@ -18,7 +18,7 @@ from fffo_drive.daemon.client import CallError, DaemonClient
 from fffo_drive.daemon.clients import ENDING
 from fffo_drive.daemon.one_client import Budget, SocketLimits
 from fffo_drive.daemon.places import CONTROL, WATCH
-from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
+from fffo_drive.drive.simulated.node.objects import OVERCURRENT
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 

@@ -16,8 +16,8 @@ from fffo_drive.daemon.connection import leave
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
 from fffo_drive.daemon.states import State
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from fffo_drive.drive.simulated.node.emcy import OVERCURRENT
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+from fffo_drive.drive.simulated.node.objects import OVERCURRENT
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.recording.reader import read_run
 from fffo_drive.runtime import blocks as b

@@ -14,10 +14,10 @@ from node.node_rig import ENABLE, OPERATION_ENABLED, Rig
 from node.test_node_eds import upload
 from shared_data import shared_files
 
+from fffo_drive.canopen_node.dictionary import STRUCT_CODES, DataType, Entry
 from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.node.config import NodeConfig
-from fffo_drive.drive.simulated.node.dictionary import STRUCT_CODES, DataType, Entry
 from fffo_drive.drive.simulated.node.eds import eds_text
 from fffo_drive.drive.simulated.node.foreign_dictionary import ForeignDictionary
 from fffo_drive.drive.simulated.node.objects import ENTRIES

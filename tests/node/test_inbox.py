@@ -12,7 +12,7 @@ import pytest
 from node.node_rig import Rig, text
 
 from fffo_drive.can.frame import ERROR_BUS_OFF, pack_frame
-from fffo_drive.drive.simulated.node.inbox import BOXED, NOTHING, Box, Inbox, wait_for_frame
+from fffo_drive.canopen_node.inbox import BOXED, NOTHING, Box, Inbox, wait_for_frame
 
 RPDO, OTHER, SYNC = pack_frame(0x201, b"\x0f\0\x05\0"), pack_frame(0x601, bytes(8)), pack_frame(0x80)
 

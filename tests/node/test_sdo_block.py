@@ -10,7 +10,7 @@ from canopen.sdo.client import SdoClient
 from node.node_rig import Rig
 
 from fffo_drive.can.frame import pack_frame, unpack_frame
-from fffo_drive.drive.simulated.node.sdo_block import block_crc
+from fffo_drive.canopen_node.sdo_block import block_crc
 
 NAME = b"fffo-drive simulated servo drive"  # 32 bytes: five segments, three bytes unused
 BEGIN_UPLOAD = "601#A40810007F000000"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ....can.frame import SYNC
+from ....canopen_node.dictionary import Value, multiplexer
+from ....canopen_node.node import WAITS_FOR_MASTER
 from ....units import S_PER_MIN, TWO_PI
 from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..ranges import NOT_IN_A_FILE, key, note, range_errors
-from .dictionary import Value, multiplexer
 from .faults import Fault
 from .foreign_dictionary import ForeignDictionary, derived_modes, entries_of, personality_problems
-from .objects import DEVICE_TYPE, WAITS_FOR_MASTER
+from .objects import DEVICE_TYPE
 from .personality import Personality
 from .ratings import Ratings
 

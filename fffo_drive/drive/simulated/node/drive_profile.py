@@ -10,24 +10,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ....canopen_node.abort import Abort, SdoAbortError
+from ....canopen_node.bus import Bus
+from ....canopen_node.dictionary import ObjectDictionary, multiplexer
+from ....canopen_node.emcy import SYNC_LOSS, EmergencyProducer
 from ....units import S_PER_MIN
 from .. import cia402_device as cia402
 from ..braking import COAST, SLOW_RAMP, BrakeSettings, brake_kind
-from .abort import Abort, SdoAbortError
 from .braking import PERIOD_NS, Brake
-from .bus import Bus
-from .dictionary import ObjectDictionary, multiplexer
-from .emcy import (
+from .objects import (
     DC_LINK_OVERVOLTAGE,
     DC_LINK_UNDERVOLTAGE,
+    MODE_CYCLIC_TORQUE,
+    MODE_NONE,
+    MODE_TORQUE_PROFILE,
     OVERCURRENT,
     OVERSPEED,
     OVERTEMPERATURE,
     RESOLVER,
-    SYNC_LOSS,
-    EmergencyProducer,
 )
-from .objects import MODE_CYCLIC_TORQUE, MODE_NONE, MODE_TORQUE_PROFILE
 from .personality import Personality
 from .ratings import Ratings
 from .scales import NodeScales

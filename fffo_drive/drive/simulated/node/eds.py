@@ -5,12 +5,21 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 
+from ....canopen_node.dictionary import (
+    REAL_TYPES,
+    SIGNED_TYPES,
+    TEXT_TYPES,
+    DataType,
+    Entry,
+    ObjectDictionary,
+    ObjectKind,
+    Value,
+)
+from ....canopen_node.node import pdo_numbers
+from ....canopen_node.pdo_parameters import DUMMIES
 from .config import NodeConfig, device_defaults
-from .core import pdo_numbers
-from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, ObjectDictionary, ObjectKind, Value
 from .foreign_dictionary import dictionary_of
 from .objects import OBJECT_NAMES
-from .pdo_parameters import DUMMIES
 
 MANDATORY = (0x1000, 0x1001, 0x1018)
 BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ....can.frame import ERROR_BUS_OFF, ERROR_RESTARTED, HEARTBEAT, MAX_DATA, pack_frame
-from .bus import Bus
+from ....canopen_node.bus import Bus
+from ....canopen_node.emcy import BUS_OFF_RECOVERED, EmergencyProducer
+from ....canopen_node.nmt import NmtSlave
+from ....canopen_node.rpdo import Rpdo
+from ....canopen_node.tpdo import Tpdo
 from .drive_profile import NodeDrive
-from .emcy import BUS_OFF_RECOVERED, EmergencyProducer
 from .faults import FaultKind
-from .nmt import NmtSlave
-from .rpdo import Rpdo
-from .tpdo import Tpdo
 
 
 class FaultTarget:

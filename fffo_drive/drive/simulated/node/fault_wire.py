@@ -11,7 +11,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from ....can.frame import EXTENDED_MASK
-from .bus import NEVER, identifier
+from ....canopen_node.bus import NEVER, identifier
 
 
 class WireEffect(IntEnum):

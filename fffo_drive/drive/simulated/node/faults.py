@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ....canopen_node.abort import Abort, SdoAbortError
+from ....canopen_node.bus import NEVER, NS_PER_MS, Bus, Timed
+from ....canopen_node.dictionary import ObjectDictionary
+from ....canopen_node.emcy import MANUFACTURER, EmergencyProducer
 from ....units import NS_PER_S
 from ..ranges import key, required_note
-from .abort import Abort, SdoAbortError
-from .bus import NEVER, NS_PER_MS, Bus, Timed
-from .dictionary import ObjectDictionary
-from .emcy import MANUFACTURER, OVERCURRENT, OVERTEMPERATURE, RESOLVER, EmergencyProducer
 from .fault_wire import FaultyWire, WireEffect, WireRule
+from .objects import OVERCURRENT, OVERTEMPERATURE, RESOLVER
 
 if TYPE_CHECKING:
     from .fault_target import FaultTarget

@@ -6,7 +6,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from .dictionary import REAL_TYPES, SIGNED_TYPES, STRUCT_CODES, DataType, Entry, ObjectDictionary, Value, type_range
+from ....canopen_node.dictionary import (
+    REAL_TYPES,
+    SIGNED_TYPES,
+    STRUCT_CODES,
+    DataType,
+    Entry,
+    ObjectDictionary,
+    Value,
+    type_range,
+)
 from .objects import ABSENT, ENTRIES, OWN_OBJECTS, PDO_OBJECTS
 from .personality import Personality, named
 

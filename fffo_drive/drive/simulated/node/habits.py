@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from ....canopen_node.bus import NEVER, Bus, Timed
+from ....canopen_node.dictionary import ObjectDictionary
+from ....canopen_node.emcy import EmergencyProducer
 from ....units import NS_PER_S
-from .bus import NEVER, Bus, Timed
-from .dictionary import ObjectDictionary
 from .drive_profile import NodeDrive
-from .emcy import EmergencyProducer
 
 DIGITAL_OUTPUTS = 0x60FE
 SET_BRAKE = 1  # bit 0 of 0x60FE:1, where its mask 0x60FE:2 lets it act

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from .dictionary import DataType, Entry, ObjectKind
+from ....canopen_node.cob_id import INVALID, NO_RTR
+from ....canopen_node.dictionary import DataType, Entry, ObjectKind
+from ....canopen_node.node import WAITS_FOR_MASTER
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
@@ -23,18 +25,23 @@ STORAGE_GROUPS = 4
 
 OWN_OBJECTS = range(0x2000, 0x2200)  # of this program alone
 
-PDO_INVALID = 0x80000000  # bit 31 of a PDO or EMCY COB-ID
-PDO_NO_RTR = 0x40000000  # bit 30 of a PDO COB-ID
-
 # CiA 402: 0x6502 and 0x6060
 MODE_NONE = 0
 MODE_TORQUE_PROFILE = 4
 MODE_CYCLIC_TORQUE = 10
 SUPPORTED_MODES = 1 << (MODE_TORQUE_PROFILE - 1) | 1 << (MODE_CYCLIC_TORQUE - 1)
 DEVICE_TYPE = 0x00020192  # servo drive, device profile 402
-WAITS_FOR_MASTER = 1 << 2  # of 0x1F80 (CiA 302-2): clear in a node that starts itself
 INCREMENTS = 0x00B50000  # notation of CiA 303-2
 INCREMENTS_PER_S = 0x00B50300
+COMMANDS = frozenset({0x2100, 0x6040, 0x6060, 0x6071, 0x60B2})  # writable, but no parameters
+EVENT_OBJECTS = frozenset({0x6041, 0x6061, 0x603F, 0x1001})  # a change sends a TPDO that has one of them
+# error codes
+OVERCURRENT = 0x2310
+DC_LINK_OVERVOLTAGE = 0x3210
+DC_LINK_UNDERVOLTAGE = 0x3220
+OVERTEMPERATURE = 0x4310
+RESOLVER = 0x7303
+OVERSPEED = 0x7310
 
 
 def _numbered(index: int, count: int, name: str, data_type: DataType, access: str, default: int) -> list[Entry]:
@@ -49,14 +56,14 @@ def _numbered(index: int, count: int, name: str, data_type: DataType, access: st
 _RPDO_DEFAULTS = (  # COB-ID offset, transmission type, mapping
     (0x200, 255, (0x60400010,)),
     (0x300, 255, (0x60400010, 0x60710010)),
-    (0x400 | PDO_INVALID, 1, ()),
-    (0x500 | PDO_INVALID, 1, ()),
+    (0x400 | INVALID, 1, ()),
+    (0x500 | INVALID, 1, ()),
 )
 _TPDO_DEFAULTS = (
-    (0x180 | PDO_NO_RTR, 255, (0x60410010,)),
-    (0x280 | PDO_NO_RTR, 1, (0x60640020, 0x606C0020)),
-    (0x380 | PDO_NO_RTR | PDO_INVALID, 1, ()),
-    (0x480 | PDO_NO_RTR | PDO_INVALID, 1, ()),
+    (0x180 | NO_RTR, 255, (0x60410010,)),
+    (0x280 | NO_RTR, 1, (0x60640020, 0x606C0020)),
+    (0x380 | NO_RTR | INVALID, 1, ()),
+    (0x480 | NO_RTR | INVALID, 1, ()),
 )
 
 
@@ -213,7 +220,7 @@ ENTRIES: tuple[Entry, ...] = tuple(
 
 # Behaviour of a drive without the object, where it differs from our default
 _WITHOUT = {
-    (0x1014, 0): PDO_INVALID,  # no emergency messages
+    (0x1014, 0): INVALID,  # no emergency messages
     (0x6007, 0): 0,  # no action when the connection is lost
     (0x6075, 0): 0,
     (0x6076, 0): 0,

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from ....canopen_node.dictionary import multiplexer
 from ..ranges import key, note
-from .dictionary import multiplexer
 
 NAMED_OBJECT = re.compile(r"0x([0-9A-Fa-f]{4}):([0-9A-Fa-f]{1,2})")
 TARGET_BITS = (8, 16, 32)

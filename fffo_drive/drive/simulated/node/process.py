@@ -21,15 +21,15 @@ from typing import NamedTuple
 
 from ....can.frame import RPDO1, SDO_REQUEST, SYNC, pack_frame
 from ....can.link import Link, LinkError
+from ....canopen_node.bus import NS_PER_MS
+from ....canopen_node.inbox import BOXED, Box, Inbox, wait_for_frame
+from ....canopen_node.sync import STATISTICS
 from ....units import NS_PER_S
 from ..cia402_device import STATE_NAMES
-from .bus import NS_PER_MS
 from .config import NodeConfig
 from .core import Node
-from .inbox import BOXED, Box, Inbox, wait_for_frame
 from .personality import Personality
 from .simulated_plant import SimulatedPlant
-from .sync import STATISTICS
 
 HIGHEST_PRIORITY = 49  # below the control loop's and the kernel's interrupt threads
 RUNAWAY_US = 500_000  # the kernel ends a FIFO process that has not slept for so long

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
+from ....canopen_node.dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, Value, type_range
 from ....documents import DocumentError, StrictRecord, load, refuse
 from ...canopen.eds import read_eds
 from ...canopen.eds_tidy import decode, tidy
 from ...canopen.eds_tidy import number as number_of
 from ...canopen.object_map import MappingError
-from .dictionary import REAL_TYPES, SIGNED_TYPES, TEXT_TYPES, DataType, Entry, Value, type_range
 from .foreign_dictionary import ForeignDictionary
 from .objects import ENTRIES
 from .personality import NAMED_OBJECT

@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable
 from fractions import Fraction
 
+from ....canopen_node.abort import Abort, SdoAbortError
+from ....canopen_node.dictionary import ObjectDictionary
 from ....units import PERMILLE
-from .abort import Abort, SdoAbortError
-from .dictionary import ObjectDictionary
 from .personality import Personality
 from .ratings import Ratings
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from operator import itemgetter
 
+from ....canopen_node.dictionary import ObjectDictionary, multiplexer
 from ....units import NS_PER_S, rps_from_rpm
-from .dictionary import ObjectDictionary, multiplexer
 from .objects import MODE_CYCLIC_TORQUE, MODE_TORQUE_PROFILE
 from .personality import Personality, named
 from .scales import NodeScales

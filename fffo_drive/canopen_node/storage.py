@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 
 from .abort import Abort, SdoAbortError
-from .dictionary import WRITABLE, Entry, ObjectDictionary, Value, multiplexer
+from .dictionary import WRITABLE, ObjectDictionary, Value, multiplexer
 
 STORE = 0x1010
 RESTORE = 0x1011
@@ -26,15 +26,15 @@ GROUPS = {
     3: range(0x6000, 0xA000),
     4: MANUFACTURER,
 }
-# commands and signatures are no parameters
-TRANSIENT = frozenset({0x1003, STORE, RESTORE, 0x2100, 0x6040, 0x6060, 0x6071, 0x60B2})
+TRANSIENT = frozenset({0x1003, STORE, RESTORE})  # writable, but no parameters
 
 
 class Storage:
-    """The non-volatile memory of the device."""
+    """The non-volatile memory of the device. `commands`: objects of its own that are no parameters."""
 
-    def __init__(self, od: ObjectDictionary) -> None:
+    def __init__(self, od: ObjectDictionary, commands: frozenset[int] = frozenset()) -> None:
         self.od = od
+        self._transient = TRANSIENT | commands
         self._saved: dict[int, Value] = {}
         od.guard(STORE, lambda sub, value: _check_signature(value, SAVE_SIGNATURE))
         od.guard(RESTORE, lambda sub, value: _check_signature(value, LOAD_SIGNATURE))
@@ -54,7 +54,7 @@ class Storage:
 
     def _save(self, group: range) -> None:
         for slot, entry in enumerate(self.od.entries):
-            if entry.index in group and _is_parameter(entry):
+            if entry.index in group and entry.access in WRITABLE and entry.index not in self._transient:
                 self._saved[multiplexer(entry.index, entry.sub)] = self.od.values[slot]
 
     def _forget(self, group: range) -> None:
@@ -63,10 +63,6 @@ class Storage:
 
     def _capability(self, index: int, sub: int) -> Value:
         return self.od.power_on_value(self.od.find(index, sub))
-
-
-def _is_parameter(entry: Entry) -> bool:
-    return entry.access in WRITABLE and entry.index not in TRANSIENT
 
 
 def _check_signature(value: int, signature: int) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
+from ..can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed, identifier
 from .dictionary import ObjectDictionary

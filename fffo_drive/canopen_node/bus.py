@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from ....can.frame import pack_frame
+from ..can.frame import pack_frame
 
 NEVER = 1 << 62  # no deadline
 NS_PER_MS = 1_000_000

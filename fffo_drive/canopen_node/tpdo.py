@@ -1,8 +1,7 @@
 """Transmit PDOs (CiA 301, 7.2.2): with every n-th SYNC, with a SYNC after an event, on events, on a timer.
 
-The event of type 255 and of type 0 is the device profile's: a change of statusword, displayed mode, error
-code or error register, where one of these is mapped; type 254, and mappings without such an object, take any
-change of the data.
+The event of type 255 and of type 0 is the device profile's: a change of one of its event objects, where one is
+mapped; type 254, and mappings without such an object, take any change of the data.
 """
 
 from __future__ import annotations
@@ -11,13 +10,11 @@ from collections.abc import Callable
 from operator import itemgetter
 from typing import Any
 
-from ....can.frame import DATA_OFFSET, pack_frame
+from ..can.frame import DATA_OFFSET, pack_frame
 from .bus import NEVER, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
 from .pdo_parameters import EMPTY, EVENT_TYPES, HIGHEST_SYNC_TYPE, PdoParameters
-
-EVENT_OBJECTS = frozenset({0x6041, 0x6061, 0x603F, 0x1001})
 
 
 class Tpdo(Timed):
@@ -30,11 +27,13 @@ class Tpdo(Timed):
         nmt: NmtSlave,
         number: int,
         on_change: Callable[[], None],
+        event_objects: frozenset[int] = frozenset(),
         rtr_required: bool = False,
     ) -> None:
         super().__init__(bus)
         self.od, self.nmt = od, nmt
         self._announce_change = on_change
+        self._event_objects = event_objects
         self.parameters = PdoParameters(od, number, False, self._changed, rtr_required)
         self.configure()
 
@@ -58,7 +57,7 @@ class Tpdo(Timed):
         watched = tuple(
             slot
             for slot, entry in zip(self.mapping.slots, self.mapping.entries, strict=True)
-            if entry.index in EVENT_OBJECTS
+            if entry.index in self._event_objects
         )
         self._watch = _picker(watched if watched and self.type != EVENT_TYPES[0] else self.mapping.slots)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import pack_frame
+from ..can.frame import pack_frame
 from .bus import NEVER, NS_PER_US, Bus, Timed
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 
-from ....can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
+from ..can.frame import DATA_OFFSET, HEARTBEAT, LENGTH_OFFSET
 from .bus import Bus
 
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....can.frame import FRAME_SIZE
-from ....jit import njit
-from ....jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv, wait_readable
+from ..can.frame import FRAME_SIZE
+from ..jit import njit
+from ..jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv, wait_readable
 
 Words = np.ndarray[Any, np.dtype[np.int64]]
 

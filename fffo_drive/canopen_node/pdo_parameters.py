@@ -10,9 +10,10 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ....can.frame import STANDARD_MASK
+from ..can.frame import STANDARD_MASK
 from .abort import Abort, SdoAbortError
 from .bus import NS_PER_100_US, NS_PER_MS
+from .cob_id import INVALID, NO_RTR, check_can_id, is_restricted
 from .dictionary import (
     MAPPABLE_IN_RPDO,
     MAPPABLE_IN_TPDO,
@@ -22,8 +23,6 @@ from .dictionary import (
     Entry,
     ObjectDictionary,
 )
-from .emcy import check_can_id, is_restricted
-from .objects import PDO_INVALID, PDO_NO_RTR
 
 COB_ID, TYPE, INHIBIT_TIME, EVENT_TIMER, SYNC_START = 1, 2, 3, 5, 6
 HIGHEST_SYNC_TYPE = 240
@@ -78,11 +77,11 @@ class PdoParameters:
     @property
     def valid(self) -> bool:
         """The PDO exists: bit 31 of its COB-ID is clear."""
-        return not self._cob_id & PDO_INVALID and not is_restricted(self.can_id)
+        return not self._cob_id & INVALID and not is_restricted(self.can_id)
 
     @property
     def _cob_id(self) -> int:
-        return self.od.number_or(self.communication, COB_ID, PDO_INVALID)
+        return self.od.number_or(self.communication, COB_ID, INVALID)
 
     @property
     def can_id(self) -> int:
@@ -129,10 +128,10 @@ class PdoParameters:
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
 
     def _check_cob_id(self, value: int) -> None:
-        check_can_id(value & ~(PDO_INVALID | (0 if self.receives else PDO_NO_RTR)))  # reserved in an RPDO
-        if not self.receives and self._rtr_required and not value & PDO_NO_RTR:
+        check_can_id(value & ~(INVALID | (0 if self.receives else NO_RTR)))  # reserved in an RPDO
+        if not self.receives and self._rtr_required and not value & NO_RTR:
             raise SdoAbortError(Abort.INVALID_VALUE)  # answering remote frames is not supported
-        stays_valid = self.valid and not value & PDO_INVALID
+        stays_valid = self.valid and not value & INVALID
         if stays_valid and value & STANDARD_MASK != self.can_id:
             raise SdoAbortError(Abort.INVALID_VALUE)
 

@@ -9,25 +9,19 @@ from __future__ import annotations
 import struct
 from collections import deque
 
-from ....can.frame import STANDARD_MASK
+from ..can.frame import STANDARD_MASK
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_100_US, Bus, Timed
+from .cob_id import INVALID, check_can_id, is_restricted
 from .dictionary import ObjectDictionary
 from .nmt import NmtSlave
-from .objects import PDO_INVALID
 
 ERROR_REGISTER = 0x1001
 HISTORY = 0x1003
 COB_ID_EMCY = 0x1014
 INHIBIT_TIME_EMCY = 0x1015
 
-# error codes of CiA 301 and CiA 402
-OVERCURRENT = 0x2310
-DC_LINK_OVERVOLTAGE = 0x3210
-DC_LINK_UNDERVOLTAGE = 0x3220
-OVERTEMPERATURE = 0x4310
-RESOLVER = 0x7303
-OVERSPEED = 0x7310
+# error codes
 COMMUNICATION = 0x8100
 HEARTBEAT_LOSS = 0x8130
 BUS_OFF_RECOVERED = 0x8140
@@ -121,7 +115,7 @@ class EmergencyProducer(Timed):
         """Send what may be sent now; the rest after the inhibit time."""
         self.deadline_ns = NEVER
         cob_id = self.od.number(COB_ID_EMCY)
-        if cob_id & PDO_INVALID or is_restricted(cob_id & STANDARD_MASK):
+        if cob_id & INVALID or is_restricted(cob_id & STANDARD_MASK):
             self._queue.clear()
         if not self.nmt.communicates:
             return
@@ -147,24 +141,7 @@ class EmergencyProducer(Timed):
             raise SdoAbortError(Abort.INVALID_VALUE)
 
     def _check_cob_id(self, sub: int, value: int) -> None:
-        check_can_id(value & ~PDO_INVALID)
+        check_can_id(value & ~INVALID)
         existing = self.od.number(COB_ID_EMCY)
-        if not existing & PDO_INVALID and not value & PDO_INVALID and existing != value:
+        if not existing & INVALID and not value & INVALID and existing != value:
             raise SdoAbortError(Abort.INVALID_VALUE)
-
-
-def check_can_id(cob_id: int) -> None:
-    """Refuse what a configurable COB-ID may not be: 29 bit, or restricted. Raises SdoAbortError."""
-    if cob_id > STANDARD_MASK or is_restricted(cob_id):
-        raise SdoAbortError(Abort.INVALID_VALUE)
-
-
-def is_restricted(identifier: int) -> bool:
-    """CAN-IDs that no configurable object may use: NMT, SDO, error control and reserved ranges."""
-    return (
-        identifier <= 0x07F
-        or 0x101 <= identifier <= 0x180
-        or 0x581 <= identifier <= 0x5FF
-        or 0x601 <= identifier <= 0x67F
-        or identifier >= 0x6E0
-    )

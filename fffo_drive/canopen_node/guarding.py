@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import HEARTBEAT, REMOTE_FLAG
+from ..can.frame import HEARTBEAT, REMOTE_FLAG
 from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary
 from .heartbeat import PRODUCER_TIME

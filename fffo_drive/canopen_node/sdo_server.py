@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, SDO_REQUEST, SDO_RESPONSE
+from ..can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, SDO_REQUEST, SDO_RESPONSE
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, Bus, Timed
 from .dictionary import ObjectDictionary, longest_of

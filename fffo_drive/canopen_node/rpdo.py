@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import DATA_OFFSET, LENGTH_OFFSET
+from ..can.frame import DATA_OFFSET, LENGTH_OFFSET
 from .bus import NEVER, Bus, Timed
 from .dictionary import Effect, ObjectDictionary, multiplexer
 from .emcy import PDO_LENGTH, PDO_LENGTH_EXCEEDED, RPDO_TIMEOUT, EmergencyProducer

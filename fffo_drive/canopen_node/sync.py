@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
+from ..can.frame import DATA_OFFSET, LENGTH_OFFSET, STANDARD_MASK, SYNC
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, NS_PER_MS, NS_PER_US, Bus, Timed
+from .cob_id import check_can_id, is_restricted
 from .dictionary import ObjectDictionary, multiplexer
-from .emcy import SYNC_LENGTH, SYNC_LOSS, EmergencyProducer, check_can_id, is_restricted
+from .emcy import SYNC_LENGTH, SYNC_LOSS, EmergencyProducer
 from .nmt import NmtSlave
 
 COB_ID_SYNC = 0x1005

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 from enum import IntEnum
 
-from ....can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, NODE_IDS
+from ..can.frame import DATA_OFFSET, LENGTH_OFFSET, MAX_DATA, NODE_IDS
 from .bus import Bus
 from .dictionary import ObjectDictionary
 from .nmt import UNCONFIGURED, NmtSlave
