@@ -20,8 +20,8 @@ from typing import NamedTuple
 from bad_input.bus_node import BusNode
 
 from fffo_drive.can.link import BROADCAST, free_loopback_port
-from fffo_drive.cli import main
 from fffo_drive.canopen_node.abort import Abort, SdoAbortError
+from fffo_drive.cli import main
 from fffo_drive.drive.simulated.node.config import Identity, NodeConfig
 from fffo_drive.drive.simulated.node.core import Node
 from fffo_drive.drive.simulated.node.eds import eds_text

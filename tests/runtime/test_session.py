@@ -11,8 +11,8 @@ import pytest
 from daemon.rig import PATIENCE_S, CommandedNode, axis_file
 
 from fffo_drive.can.link import free_loopback_port
-from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.canopen_node.nmt import NmtState
+from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.runtime import blocks as b
 from fffo_drive.runtime import session as sessions
 from fffo_drive.runtime.realtime import RealtimeRefusedError, RealtimeRequest, require_realtime
