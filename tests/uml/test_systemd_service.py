@@ -14,11 +14,11 @@ import pytest
 import yaml
 from needs import ROOT
 
+from fffo_drive.canopen_node import emcy
 from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import BoundsRecord, CommissioningRecord, DriveRecord, overall, write_record
 from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.daemon.journal import MESSAGE_IDS
-from fffo_drive.canopen_node import emcy
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.workflows.plan import make_plan
 
