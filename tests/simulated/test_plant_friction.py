@@ -149,6 +149,31 @@ def test_the_result_hardly_depends_on_the_step(config):
     assert np.sqrt(np.mean((a - b) ** 2)) < 0.02 * np.sqrt(np.mean(b**2))
 
 
+def test_a_contact_converges_to_the_solution_of_its_differential_equation():
+    """Loading from rest at 0.05 rps: dz/dt = k w (1 - alpha(z/g) z/g), g constant; the error halves with the step."""
+    level_nm, share, stiffness = 0.01, 0.2, 15.0
+    surface = replace(
+        FIVE.surfaces[0], coulomb_nm=level_nm, stiction_nm=level_nm, viscous_nm_per_rps=0.0,
+        stiffness_nm_per_rev=stiffness, elastic_share=share,
+    )  # fmt: skip
+    one = replace(FIVE, surfaces=(surface,))
+
+    def slope(_, z_nm):
+        y = min(1.0, max(0.0, (z_nm[0] / level_nm - share) / (1.0 - share)))
+        return [stiffness * 0.05 * (1.0 - y * y * (3.0 - 2.0 * y) * z_nm[0] / level_nm)]
+
+    step_s = 1e-3
+    times_s = np.arange(1, 41) * step_s
+    solved_nm = solve_ivp(slope, (0.0, times_s[-1]), [0.0], t_eval=times_s, rtol=1e-10, atol=1e-14).y[0]
+    errors_nm = []
+    for parts in (1, 2, 4):
+        along_nm = friction_along(one, np.full(40 * parts, 0.05), step_s / parts)[parts - 1 :: parts]
+        errors_nm.append(np.abs(along_nm - solved_nm).max())
+    assert errors_nm[0] < 0.02 * level_nm
+    assert errors_nm[1] / errors_nm[0] == pytest.approx(0.5, abs=0.1)
+    assert errors_nm[2] / errors_nm[1] == pytest.approx(0.5, abs=0.1)
+
+
 def test_no_stiffness_is_too_stiff():
     """A thousand times stiffer, at 50 rps: bounded by the level, no oscillation."""
     stiff = FIVE.scaled(stiffness=1000.0)

@@ -39,7 +39,6 @@ def current_step(c: Floats, x: Floats, words: Integers, demand_a: float) -> floa
     `c`, `x`, `words`: `numbers` of the parameters, `values` and `words` of the state. Sets words[LIMITED] at a limit.
     """
     kept = c[at.CURRENT_KEPT]
-    resistance = c[at.RESISTANCE_OHM]
     current_a = float(x[at.CURRENT_A])
     if words[at.SUBSTEP] % 2 == 0:
         back_emf_v = c[at.BACK_EMF] * x[at.VELOCITY_RPS]
@@ -47,13 +46,12 @@ def current_step(c: Floats, x: Floats, words: Integers, demand_a: float) -> floa
         target_a = min(peak_a, max(-peak_a, demand_a))
         wanted_a = current_a + c[at.CURRENT_APPROACH] * (target_a - current_a)
         # the voltage that achieves this in two sub-steps of the winding
-        settled = kept * kept
-        wanted_v = back_emf_v + resistance * (wanted_a - settled * current_a) / (1.0 - settled)
+        wanted_v = back_emf_v + c[at.V_PER_CURRENT] * (wanted_a - kept * kept * current_a)
         limit_v = c[at.DC_LINK_V]
         voltage_v = min(limit_v, max(-limit_v, wanted_v))
         x[at.WINDING_V] = voltage_v - back_emf_v
         if voltage_v != wanted_v or target_a != demand_a:
             words[at.LIMITED] = 1
-    next_a = kept * current_a + (1.0 - kept) * x[at.WINDING_V] / resistance
+    next_a = kept * current_a + c[at.CURRENT_PER_V] * x[at.WINDING_V]
     x[at.CURRENT_A] = next_a
     return float(0.5 * (current_a + next_a))

@@ -16,8 +16,9 @@ which keeps the contact dissipative (Olsson, 1996).
 *Maxwell slip.* Parallel springs that break away one after another, so that a reversal within a stroke closes an inner
 hysteresis loop (generalised Maxwell slip, Al-Bender, Lampaert and Swevers, IEEE TAC 50, 2005).
 
-All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step is exact for a speed that is
-constant over it, so it is stable at any stiffness. Friction that opposes positive speed is positive.
+All columns are at the motor shaft: torque Nm, angle rev, speed rev/s. The step takes the speed as constant over it; it
+is stable at any stiffness: exact, and linearly implicit for the five surfaces. Friction that opposes positive speed is
+positive.
 """
 
 from __future__ import annotations
@@ -82,50 +83,46 @@ def stribeck_share(ratio: float, exponent: float) -> float:
 
 
 @njit
-def _contact_step(contact_nm: float, level_nm: float, elastic_share: float, pull_nm: float) -> float:
-    """One elasto-plastic contact over a step that would load it by `pull_nm` if it were elastic.
+def _contact_step(load_nm: float, level_nm: float, elastic_share: float, pull_nm: float) -> float:
+    """One elasto-plastic contact over a step that would load it by `pull_nm` if it were elastic; > 0 along the motion.
 
-    dz = k dx (1 - alpha z sgn(dx)/g): alpha rises from 0 (elastic, or unloading) at |z| = elastic_share * g
-    to 1 at |z| = g. Exact for the alpha at the start of the step; loading never exceeds the level.
+    dz = k dx (1 - alpha z/g): alpha = y^2 (3 - 2 y) rises from 0 (elastic, or unloading) at the load elastic_share * g
+    to 1 at g. Linearly implicit with the alpha at the start of the step, so stable at any stiffness. Loading never
+    exceeds the level; a contact above it (the level fell) slides down to it.
     """
-    direction = 1.0 if pull_nm > 0.0 else -1.0
-    load = direction * contact_nm / level_nm  # in multiples of the level from here on
-    pull = direction * pull_nm / level_nm
-    if load <= elastic_share:
-        load = min(1.0, load + pull)
-    elif load < 1.0:
-        yielding = (load - elastic_share) / (1.0 - elastic_share)
-        alpha = yielding * yielding * (3.0 - 2.0 * yielding)
-        decay = alpha * pull
-        stretched = load + pull if decay < 1e-9 else load + (1.0 / alpha - load) * (1.0 - math.exp(-decay))
-        load = min(1.0, stretched)
-    elif load > 1.0:
-        load = 1.0 + (load - 1.0) * math.exp(-pull)
-    return direction * load * level_nm
+    if load_nm <= elastic_share * level_nm:
+        return min(level_nm, load_nm + pull_nm)
+    if load_nm >= level_nm:
+        return (load_nm + pull_nm) * (level_nm / (level_nm + pull_nm))
+    yielding_nm = load_nm - elastic_share * level_nm  # y = yielding/span, without a division of its own
+    span_nm = (1.0 - elastic_share) * level_nm
+    whole = span_nm * span_nm * span_nm
+    alpha_of_whole = yielding_nm * yielding_nm * (3.0 * span_nm - 2.0 * yielding_nm)
+    return min(level_nm, (load_nm + pull_nm) * (level_nm * whole / (level_nm * whole + alpha_of_whole * pull_nm)))
 
 
-@njit
+@njit(inline="always")
 def surfaces_step(table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales) -> float:
     """Friction torque of all surfaces (Nm) after one step at a constant speed. Updates `state`."""
+    direction = 1.0 if velocity_rps > 0.0 else -1.0
     speed_rps = abs(velocity_rps)
     travel_rev = speed_rps * step_s
-    total_nm = 0.0
+    load_nm = 0.0  # along the motion
     viscous = 0.0
     for k in range(table.shape[0]):
         viscous += table[k, VISCOUS_NM_PER_RPS]
-        if speed_rps == 0.0:
-            total_nm += state[k, CONTACT_NM]
-            continue
-        renewed = travel_rev * table[k, MEMORY]
-        steady = stribeck_share(speed_rps * table[k, PER_STRIBECK_RPS], table[k, STRIBECK_EXPONENT])
-        stiction = (state[k, STICTION] + renewed * steady) / (1.0 + renewed)
-        state[k, STICTION] = stiction
-        level_nm = scales.level * (table[k, COULOMB_NM] + scales.stiction * table[k, RISE_NM] * stiction)
-        pull_nm = table[k, STIFFNESS] * velocity_rps * step_s
-        contact_nm = _contact_step(state[k, CONTACT_NM], level_nm, table[k, ELASTIC_SHARE], pull_nm)
-        state[k, CONTACT_NM] = contact_nm
-        total_nm += contact_nm
-    return total_nm + scales.viscous * viscous * velocity_rps
+        contact_nm = direction * state[k, CONTACT_NM]
+        if speed_rps > 0.0:
+            renewed = travel_rev * table[k, MEMORY]
+            kept = 1.0 / (1.0 + renewed)  # beside the exponential, not after it
+            steady = stribeck_share(speed_rps * table[k, PER_STRIBECK_RPS], table[k, STRIBECK_EXPONENT])
+            stiction = (state[k, STICTION] + renewed * steady) * kept
+            state[k, STICTION] = stiction
+            level_nm = scales.level * (table[k, COULOMB_NM] + scales.stiction * table[k, RISE_NM] * stiction)
+            contact_nm = _contact_step(contact_nm, level_nm, table[k, ELASTIC_SHARE], table[k, STIFFNESS] * travel_rev)
+            state[k, CONTACT_NM] = direction * contact_nm
+        load_nm += contact_nm
+    return direction * load_nm + scales.viscous * viscous * velocity_rps
 
 
 @njit
@@ -232,7 +229,7 @@ def maxwell_slip_step(table: Table, state: Table, velocity_rps: float, step_s: f
     return float(total_nm)
 
 
-@njit
+@njit(inline="always")
 def friction_after(
     kind: int, table: Table, state: Table, velocity_rps: float, step_s: float, scales: FrictionScales
 ) -> float:

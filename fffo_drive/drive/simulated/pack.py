@@ -129,7 +129,10 @@ def _numbers(config: PlantConfig, transport_fraction: float) -> Floats:
     numbers[at.DC_LINK_V] = config.dc_link_v
     numbers[at.RESISTANCE_OHM] = config.resistance_ohm
     numbers[at.BACK_EMF] = TWO_PI * config.torque_constant_nm_per_a  # Kt = Ke in SI units, and w is in rev/s
-    numbers[at.CURRENT_KEPT] = math.exp(-STEP_S / config.electrical_time_constant_s)
+    kept = math.exp(-STEP_S / config.electrical_time_constant_s)
+    numbers[at.CURRENT_KEPT] = kept
+    numbers[at.CURRENT_PER_V] = (1.0 - kept) / config.resistance_ohm
+    numbers[at.V_PER_CURRENT] = config.resistance_ohm / (1.0 - kept * kept)
     numbers[at.CURRENT_APPROACH] = 1.0 - math.exp(-2.0 * TWO_PI * config.current_bandwidth_hz * STEP_S)
     numbers[at.TRANSPORT_FRACTION] = transport_fraction
     numbers[at.CURRENT_NOISE_A] = config.current_noise_a
@@ -149,6 +152,7 @@ def _put_resolver(numbers: Floats, config: PlantConfig) -> None:
     r = config.resolver
     angular = TWO_PI * r.tracking_hz
     numbers[at.COUNTS_PER_REV] = counts_per_rev(r.bits)
+    numbers[at.REV_PER_COUNT] = 1.0 / counts_per_rev(r.bits)
     numbers[at.TRACKING_POSITION] = 2.0 * r.tracking_damping * angular * STEP_S
     numbers[at.TRACKING_VELOCITY] = angular * angular * STEP_S
     numbers[at.RESOLVER_NOISE_REV] = r.noise_rev

@@ -27,8 +27,7 @@ def resolver_step(c: Floats, x: Floats, words: Integers, sensed_rev: float) -> N
     noise_rev = c[at.RESOLVER_NOISE_REV]
     if noise_rev > 0.0:
         sensed_rev += noise_rev * random_normal(words)
-    counts_per_rev = c[at.COUNTS_PER_REV]
-    converted_rev = (math.floor(sensed_rev * counts_per_rev) + 0.5) / counts_per_rev
+    converted_rev = (math.floor(sensed_rev * c[at.COUNTS_PER_REV]) + 0.5) * c[at.REV_PER_COUNT]
     predicted_rev = x[at.TRACKED_REV] + x[at.TRACKED_RPS] * STEP_S
     error_rev = converted_rev - predicted_rev
     x[at.TRACKED_REV] = predicted_rev + c[at.TRACKING_POSITION] * error_rev

@@ -40,7 +40,10 @@ COOLING = 19  # share of the temperature rise lost in a sub-step
 VISCOUS_PER_K = 20
 COULOMB_PER_K = 21
 OFFSET_NM_PER_K = 22
-N_NUMBERS = 23
+CURRENT_PER_V = 23  # A by which 1 V across the winding raises the current over a sub-step, (1 - CURRENT_KEPT)/R
+V_PER_CURRENT = 24  # V held over two sub-steps for a change of 1 A, R/(1 - CURRENT_KEPT^2)
+REV_PER_COUNT = 25
+N_NUMBERS = 26
 
 # PlantParameters.integers
 FRICTION_KIND = 0

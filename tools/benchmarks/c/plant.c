@@ -52,49 +52,44 @@ static inline double stribeck_share(double ratio, double exponent)
     return ratio < NEGLIGIBLE ? exp(-ratio) : 0.0;
 }
 
-static inline double contact_step(double contact_nm, double level_nm, double elastic_share, double pull_nm)
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+
+static inline double contact_step(double load_nm, double level_nm, double elastic_share, double pull_nm)
 {
-    double direction = pull_nm > 0.0 ? 1.0 : -1.0;
-    double load = direction * contact_nm / level_nm;
-    double pull = direction * pull_nm / level_nm;
-    if (load <= elastic_share) {
-        double stretched = load + pull;
-        load = stretched < 1.0 ? stretched : 1.0;
-    } else if (load < 1.0) {
-        double yielding = (load - elastic_share) / (1.0 - elastic_share);
-        double alpha = yielding * yielding * (3.0 - 2.0 * yielding);
-        double decay = alpha * pull;
-        double stretched = decay < 1e-9 ? load + pull : load + (1.0 / alpha - load) * (1.0 - exp(-decay));
-        load = stretched < 1.0 ? stretched : 1.0;
-    } else if (load > 1.0) {
-        load = 1.0 + (load - 1.0) * exp(-pull);
-    }
-    return direction * load * level_nm;
+    if (load_nm <= elastic_share * level_nm)
+        return smaller(level_nm, load_nm + pull_nm);
+    if (load_nm >= level_nm)
+        return (load_nm + pull_nm) * (level_nm / (level_nm + pull_nm));
+    double yielding_nm = load_nm - elastic_share * level_nm;
+    double span_nm = (1.0 - elastic_share) * level_nm;
+    double whole = span_nm * span_nm * span_nm;
+    double alpha_of_whole = yielding_nm * yielding_nm * (3.0 * span_nm - 2.0 * yielding_nm);
+    return smaller(level_nm, (load_nm + pull_nm) * (level_nm * whole / (level_nm * whole + alpha_of_whole * pull_nm)));
 }
 
 static double surfaces_step(const double (*restrict table)[TABLE_COLUMNS], double (*restrict state)[STATE_COLUMNS],
                             int64_t surfaces, double velocity_rps, double level, double viscous_scale)
 {
+    double direction = velocity_rps > 0.0 ? 1.0 : -1.0;
     double speed_rps = fabs(velocity_rps);
     double travel_rev = speed_rps * STEP_S;
-    double total_nm = 0.0, viscous = 0.0;
+    double load_nm = 0.0, viscous = 0.0;
     for (int64_t k = 0; k < surfaces; k++) {
         viscous += table[k][VISCOUS_NM_PER_RPS];
-        if (speed_rps == 0.0) {
-            total_nm += state[k][CONTACT_NM];
-            continue;
+        double contact_nm = direction * state[k][CONTACT_NM];
+        if (speed_rps > 0.0) {
+            double renewed = travel_rev * table[k][MEMORY];
+            double kept = 1.0 / (1.0 + renewed);
+            double steady = stribeck_share(speed_rps * table[k][PER_STRIBECK_RPS], table[k][STRIBECK_EXPONENT]);
+            double stiction = (state[k][STICTION] + renewed * steady) * kept;
+            state[k][STICTION] = stiction;
+            double level_nm = level * (table[k][COULOMB_NM] + table[k][RISE_NM] * stiction);
+            contact_nm = contact_step(contact_nm, level_nm, table[k][ELASTIC_SHARE], table[k][STIFFNESS] * travel_rev);
+            state[k][CONTACT_NM] = direction * contact_nm;
         }
-        double renewed = travel_rev * table[k][MEMORY];
-        double steady = stribeck_share(speed_rps * table[k][PER_STRIBECK_RPS], table[k][STRIBECK_EXPONENT]);
-        double stiction = (state[k][STICTION] + renewed * steady) / (1.0 + renewed);
-        state[k][STICTION] = stiction;
-        double level_nm = level * (table[k][COULOMB_NM] + table[k][RISE_NM] * stiction);
-        double pull_nm = table[k][STIFFNESS] * velocity_rps * STEP_S;
-        double contact_nm = contact_step(state[k][CONTACT_NM], level_nm, table[k][ELASTIC_SHARE], pull_nm);
-        state[k][CONTACT_NM] = contact_nm;
-        total_nm += contact_nm;
+        load_nm += contact_nm;
     }
-    return total_nm + viscous_scale * viscous * velocity_rps;
+    return direction * load_nm + viscous_scale * viscous * velocity_rps;
 }
 
 /* ---- transport, current loop, resolver ---- */
@@ -117,21 +112,20 @@ static inline double transport_step(double *restrict line, int64_t length, int64
 
 static inline double current_step(const double *restrict c, double *restrict x, int64_t *words, double demand_a)
 {
-    double kept = c[CURRENT_KEPT], resistance = c[RESISTANCE_OHM], current_a = x[CURRENT_A];
+    double kept = c[CURRENT_KEPT], current_a = x[CURRENT_A];
     if (words[SUBSTEP] % 2 == 0) {
         double back_emf_v = c[BACK_EMF] * x[VELOCITY_RPS];
         double peak_a = c[PEAK_CURRENT_A];
         double target_a = demand_a > peak_a ? peak_a : demand_a < -peak_a ? -peak_a : demand_a;
         double wanted_a = current_a + c[CURRENT_APPROACH] * (target_a - current_a);
-        double settled = kept * kept;
-        double wanted_v = back_emf_v + resistance * (wanted_a - settled * current_a) / (1.0 - settled);
+        double wanted_v = back_emf_v + c[V_PER_CURRENT] * (wanted_a - kept * kept * current_a);
         double limit_v = c[DC_LINK_V];
         double voltage_v = wanted_v > limit_v ? limit_v : wanted_v < -limit_v ? -limit_v : wanted_v;
         x[WINDING_V] = voltage_v - back_emf_v;
         if (voltage_v != wanted_v || target_a != demand_a)
             words[LIMITED] = 1;
     }
-    double next_a = kept * current_a + (1.0 - kept) * x[WINDING_V] / resistance;
+    double next_a = kept * current_a + c[CURRENT_PER_V] * x[WINDING_V];
     x[CURRENT_A] = next_a;
     return 0.5 * (current_a + next_a);
 }
@@ -141,8 +135,7 @@ static inline void resolver_step(const double *restrict c, double *restrict x, i
     double noise_rev = c[RESOLVER_NOISE_REV];
     if (noise_rev > 0.0)
         sensed_rev += noise_rev * random_normal(words);
-    double counts_per_rev = c[COUNTS_PER_REV];
-    double converted_rev = (floor(sensed_rev * counts_per_rev) + 0.5) / counts_per_rev;
+    double converted_rev = (floor(sensed_rev * c[COUNTS_PER_REV]) + 0.5) * c[REV_PER_COUNT];
     double predicted_rev = x[TRACKED_REV] + x[TRACKED_RPS] * STEP_S;
     double error_rev = converted_rev - predicted_rev;
     x[TRACKED_REV] = predicted_rev + c[TRACKING_POSITION] * error_rev;
