@@ -158,7 +158,7 @@ class MeasuredRun:
 
     def _picture(self) -> str:
         """Velocity and reference over time, as SVG."""
-        from .report.figures import Figure, PlotAxis, Series, Uniform
+        from .report.figures import TIME, VELOCITY, Figure, Series, Uniform
         from .report.static import write_figure  # loads slowly
 
         if self.time_s.size < 2:
@@ -172,8 +172,8 @@ class MeasuredRun:
         if not series:
             return ""
         figure = Figure(
-            "velocity", "time", self.name, "velocity over time", PlotAxis("time", "s"),
-            PlotAxis("velocity", "rps"), series,
+            "velocity", "time", self.name, "velocity over time", TIME,
+            VELOCITY, series,
         )  # fmt: skip
         with tempfile.TemporaryDirectory() as directory:
             path = Path(directory) / "velocity.svg"

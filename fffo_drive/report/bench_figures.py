@@ -12,6 +12,8 @@ from ..evaluation.metrics import PAPER_TABLE_2, ErrorMetrics, Rows, percent_of_s
 from ..units import NS_PER_S
 from .document import significant
 from .figures import (
+    TIME,
+    VELOCITY,
     Dash,
     Figure,
     Group,
@@ -38,8 +40,6 @@ LOW_SHARE = 0.02  # of the largest speed: 0.3 of 15 rps, near the paper's lowest
 TINY = 1e-4
 HISTOGRAM_BINS = 81
 FULL_RATE = 1 << 20
-TIME = PlotAxis("time", "s")
-VELOCITY = PlotAxis("velocity", "rps")
 
 
 class BenchData(NamedTuple):

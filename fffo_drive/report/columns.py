@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,17 +19,16 @@ from ..importing.recognise import (
     Guess,
 )
 from ..units import name_on, text_on, unit_in, unit_on
-from .figures import Figure, PlotAxis, Series
+from .figures import TIME, Figure, PlotAxis, Series
 
 CUTOUT_S = 3.0  # of the log, around its fastest motion
 MOST_POINTS = 4000
-WIDTH = 120  # of a title, characters
 
 
 def column_figures(
     guesses: Sequence[Guess], columns: Mapping[str, Floats], torque_unit: str, linear: bool
 ) -> list[list[Figure]]:
-    """Rows of figures for one sheet, one per signal except time, with the reason for the guess in the title."""
+    """Rows of figures for one sheet, one per signal except time, with the reason for the guess in the caption."""
     turn, speed = (unit_on(unit, linear) for unit in ("rev", "rps"))
     units = {POSITION_REV: turn, ENCODER_REV: turn, VELOCITY_RPS: speed, REFERENCE_RPS: speed,
              COMMAND_A: torque_unit or "-", CURRENT_A: torque_unit or "-"}  # fmt: skip
@@ -51,8 +49,8 @@ def column_figures(
         heading = f"{name} is {guess.column!r} [{guess.unit}]"
         rows.append([
             Figure(
-                guess.signal, "xy", "\n".join([heading, *textwrap.wrap(grounds, WIDTH)]), f"{grounds}.",
-                PlotAxis("Time", "s"), PlotAxis(name, units[guess.signal]), tuple(series), height_px=190,
+                guess.signal, "xy", heading, f"{grounds}.",
+                TIME, PlotAxis(name, units[guess.signal]), tuple(series), height_px=190,
             )
         ])  # fmt: skip
     return rows

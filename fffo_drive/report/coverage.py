@@ -18,7 +18,7 @@ from ..identification.dataset import Record
 from ..identification.kinematics import motion_of
 from ..units import unit_on
 from .document import Section
-from .figures import Figure, LevelLine, PlotAxis, Series, Uniform, Width
+from .figures import FREQUENCY, TIME, Figure, LevelLine, PlotAxis, Series, Uniform, Width
 
 MOST_RUNS = 4  # that are drawn over time
 COLOURS = ("blue", "orange", "green", "purple")
@@ -69,7 +69,7 @@ def coverage_figures(records: Sequence[Record], coverage: Coverage, linear: bool
                 "data-velocity", "time", "Velocity",
                 f"The derivative of the position, below {coverage.cutoff_hz:.3g} Hz. Presliding shows at changes of "
                 f"sign, break-away after standstill.{more}",
-                PlotAxis("time", "s"), PlotAxis("velocity", speed), tuple(over_time),
+                TIME, PlotAxis("velocity", speed), tuple(over_time),
             ),
         ],
         [
@@ -135,6 +135,6 @@ def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
         "data-frequencies", "xy", "Frequencies of the input",
         "Frequencies that the input excites; delay, resonances and lags show there. A fit uses nothing beyond the "
         "line.",
-        PlotAxis("frequency", "Hz", log=True), PlotAxis("amplitude density", "1/√Hz", log=True), tuple(series),
+        FREQUENCY, PlotAxis("amplitude density", "1/√Hz", log=True), tuple(series),
         levels=(LevelLine(coverage.cutoff_hz, "fit", upright=True),),
     )  # fmt: skip

@@ -7,6 +7,8 @@ import numpy as np
 from ..arrays import Floats
 from .figures import Series, Uniform
 
+BRIDGED = 20  # missing samples in a row that do not break a line
+
 
 def decimate(y: Floats, most: int) -> tuple[Floats, int]:
     """At most `most` points (at least 4) of equidistant samples (n,), and how many samples a bucket has (1: untouched).
@@ -49,3 +51,18 @@ def thinned(series: Series, most: int) -> tuple[Floats | Uniform, Floats, int]:
         return series.x, series.y, 1
     stride = -(-series.y.size // most)
     return series.x[::stride], series.y[::stride], stride
+
+
+def most_bridged(bucket: int) -> int:
+    """Points in a row that may be missing without breaking the line: a few samples, of decimated ones none."""
+    return BRIDGED if bucket == 1 else 0
+
+
+def bridged(x: Floats, y: Floats, bucket: int) -> tuple[Floats, Floats]:
+    """A line (n,) without the missing points that do not break it."""
+    missing = np.isnan(y)
+    ends = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    for start, end in ends.reshape(-1, 2):
+        if end - start > most_bridged(bucket):
+            missing[start:end] = False
+    return x[~missing], y[~missing]

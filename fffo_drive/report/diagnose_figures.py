@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Floats
 from ..diagnosis.results import Diagnosis, Finding, FoundCurve, Picture, ResidualChannel, RunFigure
 from ..units import axis_word_on, name_on, text_on, unit_on
-from .figures import Dash, Figure, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
+from .figures import TIME, Dash, Figure, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
 PAIR = " x "  # in the name of a channel over two axes
@@ -121,7 +121,7 @@ def run_figures(runs: Sequence[RunFigure], words: DiagnosisWords) -> tuple[Figur
             kind="time",
             title=f"{run.name} ({roles[run.role]})",
             caption="Smallest and largest residual in each interval.",
-            x=PlotAxis("time", "s"),
+            x=TIME,
             y=PlotAxis(f"residual {words.torque}", words.torque_unit),
             series=(
                 _envelope("before", run.time_s, run.before_low_nm, run.before_high_nm, BEFORE),

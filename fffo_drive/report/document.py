@@ -168,24 +168,26 @@ class Report:
     @property
     def opening_figure(self) -> Figure | None:
         """The figure that the page opens with. Raises ValueError where none is called `opening`."""
-        if not self.figures:
-            return None
-        found = [figure for figure in self.figures if self.opening in ("", figure.name)]
-        if not found:
+        return next((figure for figure in self.figures if figure.name == self._first), None)
+
+    @property
+    def _first(self) -> str:
+        names = [figure.name for section in self.sections for figure in section.figures]
+        if self.opening and names and self.opening not in names:
             raise ValueError(f"the report opens with a figure {self.opening!r}, which it does not have")
-        return found[0]
+        return self.opening or next(iter(names), "")
 
     @property
     def folded_sections(self) -> tuple[Section, ...]:
         """The sections without the figure that the page opens with; none that is empty."""
-        first = self.opening_figure
-        rest = (replace(s, figures=tuple(f for f in s.figures if f is not first)) for s in self.sections)
+        rest = (replace(s, figures=tuple(f for f in s.figures if f.name != self._first)) for s in self.sections)
         return tuple(section for section in rest if section.figures)
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """Every figure in its order. Raises ValueError when two have one name."""
-        found = tuple(figure for section in self.sections for figure in section.figures)
+        """Every figure in its order, the opening one over the whole width. Raises ValueError when two have one name."""
+        parts = (figure for section in self.sections for figure in section.figures)
+        found = tuple(replace(one, width="full") if one.name == self._first else one for one in parts)
         names = [figure.name for figure in found]
         if len(set(names)) != len(names):
             raise ValueError(f"figures of one name in a report: {', '.join(sorted(names))}")

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Floats
-from .decimation import thinned
+from .decimation import most_bridged, thinned
 from .figures import Figure, PlotAxis, Series, Uniform
+from .style import style_of
+from .view import AxisView, FigureView, views
 
 SHORT = 4096  # up to here float32 costs nothing
 LEVELS = 32767
@@ -39,8 +41,9 @@ def encode(values: Floats) -> Encoded:
 def encode_figures(figures: Sequence[Figure], largest_bytes: int = LARGEST_DATA_BYTES) -> list[dict[str, Any]]:
     """All figures of a page within `largest_bytes` of data: the longest records are decimated first."""
     most = max((series.finest for figure in figures for series in figure.series), default=0)
+    seen = views(figures)
     while True:
-        encoded = [_figure(figure, most) for figure in figures]
+        encoded = [_figure(figure, view, most) for figure, view in zip(figures, seen, strict=True)]
         if most <= 500 or _data_bytes(encoded) <= largest_bytes:
             return encoded
         most = int(most * 0.8)
@@ -56,38 +59,34 @@ def _data_bytes(encoded: list[dict[str, Any]]) -> int:
     )
 
 
-def _figure(figure: Figure, most: int) -> dict[str, Any]:
-    abscissae = [series.abscissae for series in figure.series]
+def _figure(figure: Figure, view: FigureView, most: int) -> dict[str, Any]:
     return {
         "name": figure.name,
         "kind": figure.kind,
-        "title": figure.title,
-        "x": _axis(figure.x),
-        "y": _axis(figure.y),
-        "extent": [min(float(x.min()) for x in abscissae), max(float(x.max()) for x in abscissae)],
+        "x": _axis(figure.x, view.x),
+        "y": _axis(figure.y, view.y),
         "height": figure.height_px,
         "group": figure.group,
         "shareY": figure.share_y,
         "spans": [span._asdict() for span in figure.spans],
         "levels": [level._asdict() for level in figure.levels],
-        "series": [_series(series, most) for series in figure.series],
+        "series": [_series(series, number, most) for number, series in enumerate(figure.series)],
     }
 
 
-def _axis(axis: PlotAxis) -> dict[str, Any]:
-    return {**axis._asdict(), "text": axis.text}
+def _axis(axis: PlotAxis, view: AxisView) -> dict[str, Any]:
+    named = {"text": axis.text, "unit": axis.unit, "named": bool(axis.categories)}
+    return {**view._asdict(), **named}
 
 
-def _series(series: Series, most: int) -> dict[str, Any]:
+def _series(series: Series, number: int, most: int) -> dict[str, Any]:
     x, y, bucket = thinned(series, min(series.finest, most))
     described: dict[str, Any] = {
         "name": series.name,
-        "colour": series.colour,
         "draw": series.draw,
-        "dash": series.dash,
-        "weight": series.weight,
+        "style": style_of(series, number)._asdict(),
         "bucket": bucket,
-        "dots": series.dots,
+        "bridged": most_bridged(bucket),
         "y": encode(y),
         "x": {"start": x.start, "step": x.step} if isinstance(x, Uniform) else encode(x),
     }

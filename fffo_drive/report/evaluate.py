@@ -14,7 +14,6 @@ from ..evaluation.compare import SeedInterval, ratio_interval
 from ..evaluation.measures import Yardstick
 from ..evaluation.metrics import METRIC_UNITS, PAPER_TABLE_2
 from ..evaluation.summary import Summary, as_object
-from .bench_figures import VELOCITY
 from .document import (
     Cell,
     Confidence,
@@ -29,7 +28,7 @@ from .document import (
     number,
     significant,
 )
-from .figures import Dash, Figure, Group, PlotAxis, Series, Uniform, grouped_bars
+from .figures import TIME, VELOCITY, Dash, Figure, Group, PlotAxis, Series, Uniform, grouped_bars
 
 METRICS = {"ise": "ISE", "mae": "MAE", "max": "MAX", "std": "STD"}
 KINDS = {"measured": "measured velocity", "true": "true velocity"}
@@ -284,7 +283,7 @@ def _cutouts(evaluations: Sequence[Evaluation]) -> list[Figure]:
                 kind="time",
                 title=f"From {start_s:g} s",
                 caption="Reference and velocity; of the shaft, if it is known.",
-                x=PlotAxis("time", "s"),
+                x=TIME,
                 y=VELOCITY,
                 series=tuple(series),
                 width="half",

@@ -46,6 +46,10 @@ class PlotAxis(NamedTuple):
         return self.label if self.unit == "-" else f"{self.label}, {self.unit}"
 
 
+TIME, VELOCITY = PlotAxis("time", "s"), PlotAxis("velocity", "rps")
+FREQUENCY = PlotAxis("frequency", "Hz", log=True)
+
+
 class Span(NamedTuple):
     """A part of the abscissa that is marked behind the series."""
 

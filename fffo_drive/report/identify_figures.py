@@ -15,7 +15,7 @@ from ..identification.residuals import BLOCK_S, LONGEST_LAG, RunResidual, effect
 from ..model.friction import steady_friction_nm
 from ..units import NORMAL_95, text_on
 from .document import significant
-from .figures import Figure, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
+from .figures import FREQUENCY, TIME, Figure, LevelLine, PlotAxis, Series, Uniform, histogram, normal_curve
 
 COLOURS = ("blue", "orange", "green", "purple", "grey", "ink")
 LONGEST = 12_000  # points of one record on the page
@@ -91,7 +91,6 @@ def course_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
     places = np.rint((found.time_s - record.begin_s) / record.period_s).astype(np.int64)
     residual[places] = np.where(found.kept, found.residual_nm, np.nan)
     group = figure_name("time", record.name)
-    clock = PlotAxis("time", "s")
     parts: list[tuple[str, str, PlotAxis, tuple[Series, ...], int]] = [
         ("command", f"Command in {record.name}.", PlotAxis(words.command, words.command_unit),
          (Series("command", time, record.current_a, "ink", weight=1.0, finest=LONGEST),), 170),
@@ -105,7 +104,7 @@ def course_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
     ]  # fmt: skip
     return [
         Figure(
-            name=figure_name(kind, record.name), kind="time", title=f"{record.name}: {kind}", caption=caption, x=clock,
+            name=figure_name(kind, record.name), kind="time", title=f"{record.name}: {kind}", caption=caption, x=TIME,
             y=axis, series=series, height_px=height, group=group,
         )
         for kind, caption, axis, series, height in parts
@@ -138,7 +137,7 @@ def cutout_figures(run: RunResidual, words: IdentifyWords) -> list[Figure]:
                 name=figure_name(f"cutout-{number + 1}", run.record.name), kind="time",
                 title=f"{run.record.name}: {kind}",
                 caption=f"{CUTOUT_S:g} s from {shown.start:.4g} s; the simulation restarts every 0.2 s.",
-                x=PlotAxis("time", "s"), y=words.velocity(), width="half", height_px=220,
+                x=TIME, y=words.velocity(), width="half", height_px=220,
                 series=(
                     Series("measured", shown, measured[part], "orange", weight=2.4),
                     Series("simulated", shown, simulated[part], "blue", dash="dashed", weight=1.3),
@@ -226,7 +225,7 @@ def by_frequency_figure(summaries: dict[str, dict[str, Any]], words: IdentifyWor
         series.append(Series(f"{words.torque}, {name}", at, torque, colour, dash="dotted"))
     return Figure(
         name="by-frequency", kind="xy", title="Error by frequency",
-        caption=f"Rms of residual and {words.torque} in octaves.", x=PlotAxis("frequency", "Hz", log=True),
+        caption=f"Rms of residual and {words.torque} in octaves.", x=FREQUENCY,
         y=PlotAxis(f"{words.torque}, rms", words.torque_unit, log=True), series=tuple(series), height_px=220,
     )  # fmt: skip
 
@@ -290,7 +289,7 @@ def friction_figure(fit: Fit, runs: Sequence[RunResidual], words: IdentifyWords)
     return Figure(
         name="friction", kind="xy", title="Friction over speed",
         caption=f"Steady curve of the model with the 95 % band of its parameters; points: {words.torque} minus "
-                f"{words.inertia} a in the records while sliding, mean of each bin; whiskers: its middle 90 %. The "
+                f"{words.inertia} a in the logs while sliding, mean of each bin; whiskers: its middle 90 %. The "
                 "points contain frictional lag, the curve does not.",
         x=PlotAxis("speed", words.velocity_unit, log=True), y=PlotAxis(f"friction {words.torque}", words.torque_unit),
         series=tuple(series), height_px=300,

@@ -16,7 +16,7 @@ from ..identification.frequency_response import LEAST_COHERENCE, FrequencyRespon
 from ..model.axis import AxisState, simulate
 from ..model.friction import REST, steady_friction_nm
 from .document import significant
-from .figures import Dash, Figure, PlotAxis, Series
+from .figures import FREQUENCY, Dash, Figure, PlotAxis, Series
 from .identify_figures import COLOURS, IdentifyWords, figure_name
 
 BALANCE_ANGLES = 64
@@ -76,7 +76,6 @@ def response_figures(
     """Gain with first-order plants by amplitude, phase, coherence: of one chirp."""
     record, measured = response.record, response.measured
     frequency = measured.frequency_hz
-    hz = PlotAxis("frequency", "Hz", log=True)
     used = measured.coherence > LEAST_COHERENCE
     seen = measured.coherence > LEAST_SHOWN
     gain = [
@@ -113,14 +112,15 @@ def response_figures(
     )
     coherence = Series("coherence", frequency, measured.coherence, "orange", "points")
     return [
-        Figure(figure_name("gain", record.name), "xy", f"{record.name}: gain", caption, hz,
+        Figure(figure_name("gain", record.name), "xy", f"{record.name}: gain", caption, FREQUENCY,
                PlotAxis("gain", unit, log=True), tuple(gain), height_px=300, group=group),
         Figure(figure_name("phase", record.name), "xy", f"{record.name}: phase",
-               "Not used in the fit: frictional lag and delay distort it.", hz, PlotAxis("phase", "deg"), tuple(phase),
-               width="half", height_px=190, group=group),
+               "Not used in the fit: frictional lag and delay distort it.", FREQUENCY, PlotAxis("phase", "deg"),
+               tuple(phase), width="half", height_px=190, group=group),
         Figure(figure_name("coherence", record.name), "xy", f"{record.name}: coherence",
-               "Points below 0.6 are not used; friction that changes with amplitude also lowers the coherence.", hz,
-               PlotAxis("coherence", "-", limits=(0.0, 1.05)), (coherence,), width="half", height_px=190, group=group),
+               "Points below 0.6 are not used; friction that changes with amplitude also lowers the coherence.",
+               FREQUENCY, PlotAxis("coherence", "-", limits=(0.0, 1.05)), (coherence,), width="half",
+               height_px=190, group=group),
     ]  # fmt: skip
 
 

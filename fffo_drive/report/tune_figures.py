@@ -12,7 +12,7 @@ from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
-from .figures import Dash, Figure, LevelLine, PlotAxis, Series, Span, Uniform
+from .figures import FREQUENCY, TIME, VELOCITY, Dash, Figure, LevelLine, PlotAxis, Series, Span, Uniform
 from .response_figures import harmonic_damping
 
 LOCUS_GAINS = 401
@@ -144,7 +144,7 @@ def step_figure(tuning: Tuning) -> Figure:
                 f"{significant(design.overshoot_percent, 2)} % overshoot, within 2 % after "
                 f"{significant(1e3 * design.settled_s, 2)} ms. In the worst case the observer is an additional "
                 "integral action L; this figure does not include friction that is compensated.",
-        x=PlotAxis("time", "s"), y=PlotAxis("velocity", "rps"), series=tuple(series), levels=(LevelLine(1.0, ""),),
+        x=TIME, y=VELOCITY, series=tuple(series), levels=(LevelLine(1.0, ""),),
     )  # fmt: skip
 
 
@@ -166,21 +166,20 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
             levels.append(LevelLine(margins.crossover_hz, "", upright=True))
     wanted = tuning.wish.phase_margin_deg
     estimated = " Margins with the estimated velocity are the smaller ones of this loop and the one cut at the current."
-    x = PlotAxis("frequency", "Hz", log=True)
     return [
         Figure(
             name="bode-gain", kind="xy", title="Open loop: gain", group="bode", width="half",
             caption=f"From velocity error to velocity. Crossover {significant(design.margins_pi.crossover_hz)} Hz "
                     f"with PI, {significant(design.margins_observer.crossover_hz)} Hz with L; gain margins "
                     f"{significant(design.margins_pi.gain)} and {significant(design.margins_observer.gain)}.",
-            x=x, y=PlotAxis("gain", "-", log=True), series=tuple(gain), levels=(LevelLine(1.0, ""), *levels),
+            x=FREQUENCY, y=PlotAxis("gain", "-", log=True), series=tuple(gain), levels=(LevelLine(1.0, ""), *levels),
         ),
         Figure(
             name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
             caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
                     f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° are required."
                     + estimated * (tuning.axis.estimator is not None),
-            x=x, y=PlotAxis("phase", "deg"), series=tuple(phase),
+            x=FREQUENCY, y=PlotAxis("phase", "deg"), series=tuple(phase),
             levels=(LevelLine(-180.0, "−180°"), LevelLine(wanted - 180.0, f"{wanted:g}° margin"), *levels),
         ),
     ]  # fmt: skip

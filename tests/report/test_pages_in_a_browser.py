@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from itertools import combinations
 
+import numpy as np
 import pytest
 from report.bench_runs import bench_records
 from report.test_circle_report import circle
@@ -19,6 +20,7 @@ from fffo_drive.report.circle import circle_report
 from fffo_drive.report.diagnose import diagnosis_report
 from fffo_drive.report.page import render_page
 from fffo_drive.report.palette import LEAST_LIGHTNESS, SERIES
+from fffo_drive.report.view import views
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(200)]
 SCREEN = {"width": 1280, "height": 800}
@@ -50,13 +52,49 @@ MAKERS = {
     ),
 }  # fmt: skip
 
+# of each figure: limits and ticks of both axes
+AXES = """Plots.made.map(({ u }) => ["x", "y"].map((scale, k) => {
+  const { min, max } = u.scales[scale], { _splits, _values } = u.axes[k];
+  return { low: min, high: max, ticks: _splits, texts: _values };
+}))"""
+# of each figure: every text inside it, and how many pixels have the colour of each series when it stands there alone
+PAINTED = """Plots.made.map(({ figure, u }) => {
+  const said = [], fill = u.ctx.fillText, levels = figure.levels, painted = {}, { width, height } = u.ctx.canvas;
+  u.ctx.fillText = (text, ...place) => { said.push(text); fill.call(u.ctx, text, ...place); };
+  Paint.spans(u, figure);
+  Paint.all(u, figure);
+  delete u.ctx.fillText;
+  figure.levels = [];
+  const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  for (const s of figure.series) {
+    for (const one of figure.series) one.shown = one === s;
+    u.ctx.clearRect(0, 0, width, height);
+    copy.clearRect(0, 0, width, height);
+    Paint.all(u, figure);
+    copy.drawImage(u.ctx.canvas, 0, 0);
+    const hue = Paint.variable("series-" + s.style.colour), { data } = copy.getImageData(0, 0, width, height);
+    const [r, g, b] = [1, 3, 5].map((k) => parseInt(hue.slice(k, k + 2), 16));
+    painted[s.name] = 0;
+    for (let k = 0; k < data.length; k += 4)
+      if (data[k + 3] > 128 && Math.hypot(data[k] - r, data[k + 1] - g, data[k + 2] - b) < 80) painted[s.name] += 1;
+  }
+  for (const one of figure.series) one.shown = true;
+  figure.levels = levels;
+  u.redraw();
+  return { said, painted };
+})"""
+
 
 @pytest.fixture(scope="module", params=MAKERS, ids=[name.replace(" ", "_") for name in MAKERS])
-def page(request, tmp_path_factory, chromium):
+def report(request, tmp_path_factory):
+    return MAKERS[request.param](tmp_path_factory.mktemp("inputs"))
+
+
+@pytest.fixture(scope="module")
+def page(report, tmp_path_factory, chromium):
     """A page from its file, with everything that it complained of or asked for."""
-    directory = tmp_path_factory.mktemp("page")
-    file = directory / "report.html"
-    file.write_text(render_page(MAKERS[request.param](directory)), encoding="utf-8")
+    file = tmp_path_factory.mktemp("page") / "report.html"
+    file.write_text(render_page(report), encoding="utf-8")
     assert file.stat().st_size < LARGEST_BYTES
     context = chromium.new_context(viewport=SCREEN)
     page = context.new_page()
@@ -134,3 +172,45 @@ def test_a_screen_reader_and_the_keyboard_find_everything(page):
     found = axe.run(page).response["violations"]
     page.click("#unfold")
     assert [(one["id"], one["nodes"][0]["html"][:120]) for one in found if one["impact"] in SERIOUS] == []
+
+
+def test_the_page_shows_each_figure_with_the_limits_and_ticks_of_its_picture(page, report):
+    page.set_viewport_size(SCREEN)
+    page.click("#unfold")
+    page.wait_for_function("Plots.made.every(one => one.u.width === one.host.clientWidth)")
+    shown = page.evaluate(AXES)
+    page.click("#unfold")
+    for figure, view, axes in zip(report.figures, views(report.figures), shown, strict=True):
+        for wanted, found in zip(view, axes, strict=True):
+            assert (found["low"], found["high"]) == (wanted.low, wanted.high), figure.name
+            assert (tuple(found["ticks"]), tuple(found["texts"])) == (wanted.ticks, wanted.texts), figure.name
+
+
+def test_the_page_draws_every_series_band_mark_and_label(page, report):
+    """Each series alone on its figure leaves its colour there; each label is written where it stands in a picture."""
+    found = page.evaluate(PAINTED)
+    for figure, drawn in zip(report.figures, found, strict=True):
+        empty = {one.name for one in figure.series if not np.isfinite(one.y).any() or not np.any(one.y)}
+        assert {name for name, pixels in drawn["painted"].items() if pixels == 0} <= empty, figure.name
+        for part in (*figure.spans, *figure.levels):
+            assert part.label in drawn["said"], figure.name
+        box = page.locator(f"#figure-{figure.name}")
+        entries = box.locator(".legend button").evaluate_all("all => all.map(one => one.textContent.trim())")
+        assert [" ".join(entry.split()) for entry in entries] == [" ".join(s.name.split()) for s in figure.series]
+        for text in (figure.title, figure.caption):
+            assert " ".join(text.split()) in " ".join(box.text_content().split())
+
+
+def test_zoomed_and_back_a_figure_is_as_before(page):
+    def look():
+        return page.evaluate(
+            "Plots.made.map(({ u }) => [u.scales.x.min, u.scales.x.max, u.scales.y.min, u.scales.y.max])"
+        )
+
+    before = look()
+    page.evaluate("Plots.made.forEach((plot) => Plots.zoom(plot, 0.25))")
+    page.wait_for_timeout(0)
+    assert all(a[0] < b[0] and b[1] < a[1] for a, b in zip(before, look(), strict=True))
+    page.evaluate("Plots.made.forEach(Plots.showAll)")
+    page.wait_for_timeout(0)
+    assert look() == before

@@ -11,22 +11,19 @@ const Plots = (() => {
     return (size !== 0 && (size < 1e-3 || size >= 1e6) ? value.toExponential(2) : String(+value.toPrecision(5))).replace("-", "−");
   }
 
-  function fullX(figure) {
-    if (figure.x.limits) return figure.x.limits;
-    if (figure.x.categories.length) return [-0.6, figure.x.categories.length - 0.4];
-    const [min, max] = figure.extent;
-    const pad = figure.kind === "xy" && !figure.x.log ? 0.03 * (max - min) : 0;
-    return [min - pad, max + pad];
-  }
+  /* Figures of a group with one ordinate, of which all move when one does. */
+  const sharing = (plot) => (plot.figure.shareY ? inGroup(plot).filter((p) => p.figure.shareY && p.figure.y.text === plot.figure.y.text) : [plot]);
+  const isWhole = (plot) => plot.view[0] === plot.figure.x.low && plot.view[1] === plot.figure.x.high;
+  /* As the figure is defined, and as it is in a picture: not zoomed, nothing hidden. */
+  const asDefined = (plot) => isWhole(plot) && sharing(plot).every((p) => p.figure.series.every((s) => s.shown));
 
-  function rangeY(plot, xMin, xMax) {
-    const { figure } = plot, whole = xMin <= plot.full[0] && xMax >= plot.full[1];
-    if (figure.y.limits && whole) return figure.y.limits;
-    const all = figure.shareY ? inGroup(plot).filter((p) => p.figure.shareY && p.figure.y.text === figure.y.text).flatMap((p) => p.figure.series) : figure.series;
-    const found = Data.range(all, xMin, xMax, figure.y.log);
-    let [min, max] = found || (figure.y.log ? [0.1, 1] : [0, 1]);
+  function rangeY(plot) {
+    const { figure } = plot, { log } = figure.y;
+    if (asDefined(plot)) return [figure.y.low, figure.y.high];
+    const found = Data.range(sharing(plot).flatMap((p) => p.figure.series), ...plot.view, log);
+    let [min, max] = found || (log ? [0.1, 1] : [0, 1]);
     for (const level of figure.levels) if (!level.upright) { min = Math.min(min, level.value); max = Math.max(max, level.value); }
-    if (figure.y.log) return [10 ** Math.floor(Math.log10(min)), 10 ** Math.ceil(Math.log10(max) - 1e-6)];
+    if (log) return [10 ** Math.floor(Math.log10(min)), 10 ** Math.ceil(Math.log10(max) - 1e-6)];
     const grounded = figure.kind === "histogram" || figure.kind === "bars";
     const pad = 0.06 * (max - min || Math.abs(max) || 1);
     return grounded ? [Math.min(0, min), max + pad] : [min - pad, max + pad];
@@ -35,53 +32,57 @@ const Plots = (() => {
   const FOLDED_WIDTH = 600; // until it is unfolded and has one
   const GROUP_AXIS = 52; // figures that zoom together stand with their ordinates one above the other
 
-  function axis(side, spec, group, extra) {
-    const ordinate = group ? GROUP_AXIS : (u, values) => 14 + 6.6 * Math.max(2, ...(values || []).map((v) => (v ? v.length : 0)));
-    return {
-      side,
-      scale: side === 2 ? "x" : "y",
-      label: spec.text,
-      labelSize: 20,
-      labelFont: Paint.font(12),
-      font: Paint.font(11.5),
-      labelGap: side === 3 ? 2 : 0,
-      gap: 4,
-      size: side === 2 ? 28 : ordinate,
-      stroke: () => Paint.variable("quiet"),
-      grid: { stroke: () => Paint.variable("grid"), width: 1 },
-      ticks: { stroke: () => Paint.variable("rule"), width: 1, size: 4 },
-      ...extra,
-    };
-  }
-
-  /* Powers of ten in view, and 1-2-5 between them when less than two decades are. */
-  function decades(u, number, min, max) {
+  /* Ticks of a part that is zoomed: powers of ten, with 1-2-5 between them over less than two decades; else equidistant. */
+  function ticks(min, max, step, log) {
     const found = [], fine = max / min < 100 ? [1, 2, 5] : [1];
-    for (let e = Math.floor(Math.log10(min)); e <= Math.ceil(Math.log10(max)); e++)
+    if (!log) for (let k = Math.ceil(min / step - 1e-9); k * step <= max + 1e-9 * step; k++) found.push(+(k * step).toPrecision(12));
+    else for (let e = Math.floor(Math.log10(min)); e <= Math.ceil(Math.log10(max)); e++)
       for (const f of fine) { const v = f * 10 ** e; if (v >= min * 0.999 && v <= max * 1.001) found.push(v); }
     return found;
   }
 
-  function axes(figure) {
-    const categories = figure.x.categories;
-    const named = { splits: () => categories.map((_, i) => i), values: (u, at) => at.map((i) => categories[i]), grid: { show: false }, ticks: { show: false } };
-    const minus = (u, splits) => splits.map((v) => (v === null ? null : String(+v.toPrecision(8)).replace("-", "−")));
-    const power = (u, splits) => splits.map((v) => (v >= 1e-3 && v < 1e5 ? String(+v.toPrecision(3)) : "1e" + Math.round(Math.log10(v)).toString().replace("-", "−")));
-    const kind = (spec, space) => (spec.log ? { splits: decades, filter: (u, splits) => splits, values: power } : { space, values: minus });
-    return [axis(2, figure.x, figure.group, categories.length ? named : kind(figure.x, 60)), axis(3, figure.y, figure.group, kind(figure.y, 34))];
+  const APART = { x: 60, y: 34 }; // px between two texts beside ticks, at least
+
+  function axis(plot, scale) {
+    const { figure } = plot, spec = figure[scale], ordinate = (u, values) => 14 + 6.6 * Math.max(2, ...(values || []).map((v) => (v ? v.length : 0)));
+    const texts = new Map(spec.ticks.map((v, i) => [v, spec.texts[i]]));
+    const defined = () => spec.named || (scale === "x" ? isWhole(plot) : asDefined(plot));
+    const thin = (u, at) => { // on a narrow screen
+      const room = scale === "x" ? u.bbox.width / uPlot.pxRatio : u.bbox.height / uPlot.pxRatio;
+      const every = spec.named || spec.log && !defined() ? 1 : Math.ceil((at.length - 1) * APART[scale] / Math.max(room, 1) - 0.2);
+      return at.map((v, i) => (i % Math.max(1, every) ? null : v));
+    };
+    return {
+      side: scale === "x" ? 2 : 3,
+      scale,
+      label: spec.text,
+      labelSize: 20,
+      labelFont: Paint.font(Paint.TEXT_PX),
+      font: Paint.font(Paint.TEXT_PX),
+      labelGap: scale === "y" ? 2 : 0,
+      gap: 4,
+      size: scale === "x" ? 28 : figure.group ? GROUP_AXIS : ordinate,
+      space: APART[scale],
+      stroke: () => Paint.variable("quiet"),
+      grid: { show: !spec.named, stroke: () => Paint.variable("grid"), width: 1 },
+      ticks: { show: !spec.named, stroke: () => Paint.variable("rule"), width: 1, size: 4 },
+      border: { show: true, stroke: () => Paint.variable("rule"), width: 1 },
+      splits: (u, index, min, max, step) => (defined() ? spec.ticks : ticks(min, max, step, spec.log)),
+      filter: (u, at) => at,
+      values: (u, at) => thin(u, at).map((v) => (v === null ? null : texts.get(v) ?? readable(v))),
+    };
   }
 
   /* uPlot sets scales later, in one go: what is in view is therefore kept here. */
   function setX(plot, min, max) {
-    const [low, high] = plot.full;
-    const width = Math.min(high - low, Math.max(max - min, (high - low) * 1e-5));
-    const start = Math.min(Math.max(min, low), high - width);
-    for (const other of inGroup(plot)) other.view = [start, start + width];
+    const { low, high } = plot.figure.x;
+    const width = Math.max(max - min, (high - low) * 1e-5), start = Math.min(Math.max(min, low), high - width);
+    for (const other of inGroup(plot)) other.view = width < high - low ? [start, start + width] : [low, high];
     inGroup(plot).forEach(redraw);
   }
 
   function redraw(plot) {
-    const [xMin, xMax] = plot.view, [yMin, yMax] = rangeY(plot, xMin, xMax);
+    const [xMin, xMax] = plot.view, [yMin, yMax] = rangeY(plot);
     plot.u.batch(() => {
       plot.u.setScale("x", { min: xMin, max: xMax });
       plot.u.setScale("y", { min: yMin, max: yMax });
@@ -98,12 +99,12 @@ const Plots = (() => {
   }
 
   function move(plot, share) {
-    const [to, back] = bend(plot), [min, max] = plot.view.map(to), [low, high] = plot.full.map(to);
+    const [to, back] = bend(plot), [min, max] = plot.view.map(to), [low, high] = [plot.figure.x.low, plot.figure.x.high].map(to);
     const by = Math.min(high - max, Math.max(low - min, share * (max - min)));
     setX(plot, back(min + by), back(max + by));
   }
 
-  const showAll = (plot) => setX(plot, ...plot.full);
+  const showAll = (plot) => setX(plot, plot.figure.x.low, plot.figure.x.high);
 
   function readOff(plot) {
     const { u, figure } = plot, left = u.cursor.left;
@@ -113,17 +114,17 @@ const Plots = (() => {
       node.textContent = index >= 0 && index < s.y.length ? readable(s.y[index]) : "";
     });
     const pair = figure.kind === "xy" ? `${readable(at)}, ${readable(u.posToVal(u.cursor.top, "y"))}` : `${readable(at)} ${figure.x.unit}`;
-    plot.place.textContent = Number.isFinite(at) && !figure.x.categories.length ? "at " + pair : "";
+    plot.place.textContent = Number.isFinite(at) && !figure.x.named ? "at " + pair : "";
   }
 
   function legend(plot, host) {
     plot.place = document.createElement("span");
     plot.place.className = "value";
-    plot.readings = plot.figure.series.map((s, number) => {
+    plot.readings = plot.figure.series.map((s) => {
       const button = document.createElement("button");
       button.type = "button";
       button.setAttribute("aria-pressed", "true");
-      button.innerHTML = Paint.sample(s, number);
+      button.innerHTML = Paint.sample(s);
       button.append(s.name + " ");
       const node = document.createElement("span");
       node.className = "value";
@@ -144,13 +145,13 @@ const Plots = (() => {
     return {
       width,
       height: figure.height,
-      padding: [figure.spans.length ? 20 : 10, plot.right, 0, 0],
+      padding: [figure.spans.length ? 20 : 10, 12, 0, 0],
       legend: { show: false },
       scales: {
         x: { time: false, distr: figure.x.log ? 3 : 1, auto: false, range: (u, min, max) => [min, max] },
-        y: { distr: figure.y.log ? 3 : 1, auto: false, range: () => rangeY(plot, ...plot.view) },
+        y: { distr: figure.y.log ? 3 : 1, auto: false, range: () => rangeY(plot) },
       },
-      axes: axes(figure),
+      axes: [axis(plot, "x"), axis(plot, "y")],
       series: [{}, { show: true, stroke: "transparent", points: { show: false } }],
       cursor: {
         y: figure.kind === "xy",
@@ -161,7 +162,7 @@ const Plots = (() => {
       },
       hooks: {
         drawClear: [(u) => Paint.spans(u, figure)],
-        draw: [(u) => Paint.all(u, figure, plot.named)],
+        draw: [(u) => Paint.all(u, figure)],
         setCursor: [() => readOff(plot)],
         setSelect: [(u) => {
           const { left, width: wide } = u.select;
@@ -194,29 +195,19 @@ const Plots = (() => {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
 
-  const named = (figure) => figure.series.length > 1 && figure.series.every((s) => s.draw === "line");
-
-  function make(encoded, right) {
+  function make(encoded) {
     const box = document.getElementById("figure-" + encoded.name), host = box.querySelector(".plot");
     const figure = { ...encoded, series: encoded.series.map(Data.series) };
-    const full = fullX(figure);
-    const plot = { figure, host, full, view: full, named: named(figure), right };
+    const plot = { figure, host, view: [figure.x.low, figure.x.high] };
     made.push(plot);
     legend(plot, box.querySelector(".legend"));
     box.querySelector(".detail").textContent = detail(figure);
-    plot.u = new uPlot(options(plot, host.clientWidth || FOLDED_WIDTH), [[...plot.full], [null, null]], host);
+    plot.u = new uPlot(options(plot, host.clientWidth || FOLDED_WIDTH), [[...plot.view], [null, null]], host);
     const actions = { in: () => zoom(plot, 0.5), out: () => zoom(plot, 2), all: () => showAll(plot), csv: () => csv(plot) };
     for (const button of box.querySelectorAll("[data-do]")) button.addEventListener("click", actions[button.dataset.do]);
   }
 
-  /* All figures; room for names at the right is that of the widest one in a group. */
-  function makeAll(figures) {
-    const room = (figure) => (named(figure) ? Math.ceil(Paint.nameWidth(figure.series)) + 12 : 12);
-    for (const figure of figures) {
-      const beside = figure.group ? figures.filter((other) => other.group === figure.group) : [figure];
-      make(figure, Math.max(...beside.map(room)));
-    }
-  }
+  const makeAll = (figures) => figures.forEach(make);
 
   return { makeAll, made, zoom, move, showAll, redraw, readOff };
 })();
