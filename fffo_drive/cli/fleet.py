@@ -4,7 +4,7 @@ fffo-drive fleet add STORE RUN...      index runs by drive, time and content; no
 fffo-drive fleet work STORE            make the record of every run that has none
 fffo-drive fleet status STORE          how many runs have a record, and which failed
 fffo-drive fleet compact STORE         merge the records' small files; --keep removes old ones
-fffo-drive fleet report STORE          page and JSON: spread over the drives of each model, history of each drive
+fffo-drive fleet report STORE          page and JSON: spread over the drives of each type, history of each drive
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
 fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
 fffo-drive fleet compare A B           two runs, or two periods of a drive: what differs beyond chance
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _action(actions, "status", "how many runs have a record, and which failed")
     compact = _action(actions, "compact", "merge the small files of records, month by month")
     compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began more than DAYS days ago")
-    report = _action(actions, "report", "page and JSON: spread over the drives of each model, history of each drive")
+    report = _action(actions, "report", "page and JSON: spread over the drives of each type, history of each drive")
     report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     report.add_argument(
         "--alarms-per-drive-year", type=float, metavar="R", help="also list changes, as `fleet watch` finds them"

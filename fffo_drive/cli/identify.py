@@ -5,7 +5,7 @@ YAML file of declared facts (torque constant, resolver, poles and slots, columns
 config schema facts`); recordings of this program and of `fffo-drive import` contain them. If the logs show a constant
 torque, friction that differs by direction, gravity or ripple over the angle, it is fitted as well. Writes
 DIR/model.yaml for the controller, and the page DIR/report.html with DIR/report.json; --svg also draws every figure of
-the page. With --prior, a few seconds of motion are enough: other drives of the same model supply what the logs do not
+the page. With --prior, a few seconds of motion are enough: other drives of the same type supply what the logs do not
 determine. If the drive differs from them, the program says so and uses its logs alone.
 """
 

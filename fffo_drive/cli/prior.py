@@ -18,14 +18,14 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
         "--prior", metavar="STORE|FILE",
         help="use other drives of this model as prior: a store of `fffo-drive fleet`, or a population file",
     )  # fmt: skip
-    parser.add_argument("--prior-model", metavar="NAME", help="model of the drive in STORE (default: as in the runs)")
+    parser.add_argument("--prior-model", metavar="NAME", help="type of drive in STORE (default: as in the runs)")
 
 
 def prior_of(options: argparse.Namespace, runs: Sequence[str | Path], facts: DriveFacts) -> AgainstPopulation | None:
     """The runs against the population of --prior; None without it. Raises DocumentError, DataError."""
     if options.prior is None:
         if options.prior_model is not None:
-            raise DocumentError("--prior-model names a drive model in a store: give the store with --prior")
+            raise DocumentError("--prior-model names a type of drive in a store: give the store with --prior")
         return None
     try:
         from ..fleet.standing import files_against_population

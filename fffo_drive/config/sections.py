@@ -513,7 +513,7 @@ class DaemonSection(StrictRecord):
     foxglove: Annotated[
         Listen | None, Field(description="[HOST:]PORT of the WebSocket for Foxglove and PlotJuggler; null: none")
     ] = None
-    record: Annotated[Literal["on", "off"], Field(description="on: record from the start of the service")] = "off"
+    record: Annotated[Literal["on", "off"], Field(description="on: record from the start of the daemon")] = "off"
     fleet: Annotated[
         str | None,
         Field(

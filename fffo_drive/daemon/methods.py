@@ -273,7 +273,7 @@ class Api:
         if model.torque_constant_nm_per_a != old.torque_constant_nm_per_a:
             text = (
                 f"{wanted.name}: torque_constant_nm_per_a is {model.torque_constant_nm_per_a:g}, the drive is scaled "
-                f"with {old.torque_constant_nm_per_a:g}: name this model in the axis file and restart the service"
+                f"with {old.torque_constant_nm_per_a:g}: name this model in the axis file and restart the daemon"
             )
             raise RpcError(BAD_DOCUMENT, text)
         changed = settings.with_model(plan, toggle, model)

@@ -279,7 +279,7 @@ class Server:
         """
         asked = self._tasks.pop(task)
         if task.cancelled():
-            answer = rpc.error_of(None, RpcError(rpc.NOT_REACHED, "the service ends, or who asked has gone"))
+            answer = rpc.error_of(None, RpcError(rpc.NOT_REACHED, "the daemon ends, or who asked has gone"))
         else:
             answer = task.result()
         self.api.publish()

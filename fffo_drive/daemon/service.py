@@ -121,7 +121,7 @@ class _Service:
             stopping = asyncio.create_task(self._stop.wait())
             await asyncio.wait({living, turning, stopping}, return_when=asyncio.FIRST_COMPLETED)
             self.notifier.stopping()
-            supervisor.log.add("stopping", "the service ends")
+            supervisor.log.add("stopping", "the daemon ends")
             if not turning.done():
                 await supervisor.stop_in_order()
             stopping.cancel()

@@ -31,7 +31,7 @@ class State(StrEnum):
 
 
 MEANINGS = {
-    State.OFFLINE: "no drive: the bus is down or no node answers; the service keeps trying",
+    State.OFFLINE: "no drive: the bus is down or no node answers; the daemon keeps trying",
     State.CONNECTED: "the drive is brought up and the loop runs without torque; an obstacle prevents enabling",
     State.READY: "the drive can be enabled",
     State.ENABLED: "torque is requested, the axis is held at standstill",
@@ -350,7 +350,7 @@ def markdown() -> str:
     """The tables as Markdown."""
     lines = [
         "# States of the daemon", "",
-        "Made by `tools/daemon_states` from `fffo_drive/daemon/states.py`, the table that the daemon executes. A "
+        "Generated from `fffo_drive/daemon/states.py`, the table that the daemon executes. A "
         "request without a row in the present state is refused, and the answer names the states that allow it.", "",
         "| state | meaning |", "| --- | --- |",
         *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",

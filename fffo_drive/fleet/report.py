@@ -77,7 +77,7 @@ def fleet_report(source: FleetSource) -> Report:
     report = Report(
         kind=KIND,
         title=f"Fleet of {source.store.rstrip('/').rsplit('/', 1)[-1]}",
-        subtitle="What the records of many runs say of drives, model by model.",
+        subtitle="What the records of many runs say of drives, type by type.",
         verdict=_verdict(source),
         tables=tuple(tables),
         sections=tuple(section for section in sections if section.figures),
@@ -115,7 +115,7 @@ def _verdict(source: FleetSource) -> Verdict:
     outside = {(spread.model, one.drive) for spread in spreads for one in spread.outsiders}
     alarms = [alarm for watched in source.moved.values() for alarm in watched.alarms]
     small = [spread.model for spread in spreads if len(spread.drives) < LEAST_DRIVES]
-    said = f"{counted(drives, 'drive')} of {counted(len(spreads), 'model')} in {counted(runs, 'run')}"
+    said = f"{counted(drives, 'drive')} of {counted(len(spreads), 'type')} in {counted(runs, 'run')}"
     headline = f"{said}: {f'{len(outside)} stand' if outside else 'none stands'} outside of the population"
     lines = [
         Line(label=one.drive, text=outsider_text(one))
@@ -144,7 +144,7 @@ def _verdict(source: FleetSource) -> Verdict:
 def outsider_text(one: Outsider) -> str:
     """One number of a drive against its model's."""
     share = f" ({100.0 * (one.value / one.median - 1.0):+.0f} %)" if one.median else ""
-    return f"{word_of(one.quantity)} {significant(one.value)}, the model's median {significant(one.median)}{share}"
+    return f"{word_of(one.quantity)} {significant(one.value)}, the type's median {significant(one.median)}{share}"
 
 
 def _population(place: int, spread: ModelSpread) -> Table:
@@ -183,7 +183,7 @@ def _outsiders(spreads: Sequence[ModelSpread]) -> list[Table]:
     return [
         Table(
             name="outside", title="Who stands outside", corner="drive", rows=rows,
-            columns=[Heading(label="model", words=True), Heading(label="quantity", words=True), Heading(label="value"),
+            columns=[Heading(label="type", words=True), Heading(label="quantity", words=True), Heading(label="value"),
                      Heading(label="median"), Heading(label="distance")],
             note=f"Distance in standard deviations of the population and the drive's own uncertainty.{more}",
         )
@@ -202,7 +202,7 @@ def _moved(moved: Mapping[str, Watched]) -> list[Table]:
     return [
         Table(
             name="moved", title="What moved, and since when", corner="drive", rows=rows[:SHOWN_OUTSIDERS],
-            columns=[Heading(label="model", words=True), Heading(label="change", words=True)],
+            columns=[Heading(label="type", words=True), Heading(label="change", words=True)],
             note=f"{len(rows)} alarms; `fffo-drive fleet watch` sets how many false ones there may be.",
         )
     ]  # fmt: skip
@@ -232,10 +232,10 @@ def _drives(spreads: Sequence[ModelSpread]) -> Table:
     units = ("Nm s²/rev", "Nm/rps", "Nm")
     return Table(
         name="drives", title="Drives", corner="drive", rows=rows,
-        columns=[Heading(label="model", words=True), Heading(label="runs"), Heading(label="first", words=True),
+        columns=[Heading(label="type", words=True), Heading(label="runs"), Heading(label="first", words=True),
                  Heading(label="last", words=True),
                  *(Heading(label=word_of(name), unit=unit) for name, unit in zip(names, units, strict=True))],
-        note=f"All runs of a drive together, with 95 % intervals; at most {LISTED_DRIVES} drives of each model.",
+        note=f"All runs of a drive together, with 95 % intervals; at most {LISTED_DRIVES} drives of each type.",
     )  # fmt: skip
 
 
@@ -266,11 +266,11 @@ def _population_section(place: int, spread: ModelSpread) -> Section:
         return Section(spread.model, "", ())
     figure = Figure(
         f"population-{place}", "bars", f"Drives of {spread.model}",
-        "Each drive by all of its runs, over the model's median; sorted within each quantity.",
+        "Each drive by all of its runs, over the type's median; sorted within each quantity.",
         PlotAxis("quantity", "-", categories=tuple(short_of(one.name) for one in shown)),
         PlotAxis("of the median", "%"), tuple(series),
     )  # fmt: skip
-    return Section(f"Population of {spread.model}", "Every drive against its model.", (figure,))
+    return Section(f"Population of {spread.model}", "Every drive against its type.", (figure,))
 
 
 def _has_share(one: QuantitySpread, all_of_them: Sequence[QuantitySpread]) -> bool:
@@ -287,7 +287,7 @@ def _history_section(place: int, spread: ModelSpread, histories: Mapping[str, Ru
             *_parameter_figures(name, drive, history, spread),
             _residual_figure(name, drive, history),
         ]
-    text = "Each point is one run by itself, with its 95 % interval; the line is the model's median."
+    text = "Each point is one run by itself, with its 95 % interval; the line is the type's median."
     return Section(f"Histories, {spread.model}", text, tuple(figures))
 
 
@@ -316,7 +316,7 @@ def _parameter_figures(name: str, drive: str, history: RunHistory, spread: Model
                 f"{name}-{k}", "xy", f"{drive}: {word_of(parameter)}", f"Run by run since {day_of(history.time_s[0])}.",
                 PlotAxis("time", "days"), PlotAxis(word_of(parameter), medians[parameter].unit),
                 (Series("runs", days, value, "blue", "points", low=value - reach, high=value + reach),
-                 Series("median of the model", span, typical, "ink", dash="dashed")),
+                 Series("median of the type", span, typical, "ink", dash="dashed")),
                 width="half",
             )
         )  # fmt: skip

@@ -54,8 +54,8 @@ def population_at(source: str, who: Who) -> Population:
             raise DocumentError(f"--prior {source}: {error}: `Population.as_plain` makes one") from None
         if kept.model and who.model and kept.model != who.model:
             raise DocumentError(
-                f"--prior {source}: is of model {kept.model}, the runs are of {who.model}: give the file of their "
-                f"model, or --prior-model {kept.model}"
+                f"--prior {source}: is of type {kept.model}, the runs are of {who.model}: give the file of their "
+                f"type, or --prior-model {kept.model}"
             )
         return kept._replace(model=kept.model or who.model)
     store = FleetStore(source)
@@ -64,13 +64,13 @@ def population_at(source: str, who: Who) -> Population:
         raise DocumentError(f"--prior {source}: no record yet: `fffo-drive fleet work {source}` makes them")
     if not who.model and len(models) > 1:
         raise DocumentError(
-            f"--prior {source}: the runs do not say of which model their drive is: give --prior-model: "
+            f"--prior {source}: the runs do not say of which type their drive is: give --prior-model: "
             f"{', '.join(models)}"
         )
     model = who.model or models[0]
     if model not in models:
         raise DocumentError(
-            f"--prior {source}: no record of model {model!r}: {did_you_mean(model, models)}: give --prior-model "
+            f"--prior {source}: no record of type {model!r}: {did_you_mean(model, models)}: give --prior-model "
             "NAME, or add runs of such drives"
         )
     drives = dict(histories(store, model))
@@ -82,7 +82,7 @@ def population_at(source: str, who: Who) -> Population:
         # fewer than three drives show no parameters: at most all there are
         needed = f"at most {len(PARAMETERS) + 2}" if found is None else f"here {least}, so {least - found.drives} more"
         raise DocumentError(
-            f"--prior {source}: {counted(len(drives), 'drive')} of model {model}{beside}: a prior needs two "
+            f"--prior {source}: {counted(len(drives), 'drive')} of type {model}{beside}: a prior needs two "
             f"more drives than parameters ({needed}): add runs of more drives with `fffo-drive fleet add`, or run "
             "without --prior"
         )

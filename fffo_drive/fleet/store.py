@@ -403,7 +403,7 @@ def _first_of_each(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 def status_lines(status: StoreStatus) -> tuple[str, str]:
     """What there is, and how far it is."""
-    drives_and_models = f"{counted(status.drives, 'drive')}, {counted(status.models, 'model')}"
+    drives_and_models = f"{counted(status.drives, 'drive')}, {counted(status.models, 'type')}"
     kilobytes = f"{status.record_bytes / 1e3:.0f} kB"
     return (
         f"{counted(status.runs, 'run')} of {drives_and_models}: {100.0 * status.share:.0f} % done",

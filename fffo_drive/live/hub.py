@@ -161,6 +161,6 @@ class Hub:
     def close(self) -> None:
         """Drop everybody."""
         for client in list(self.clients):
-            client.drop("the service ends")
+            client.drop("the daemon ends")
         self.link.close()
         self.stops.close()

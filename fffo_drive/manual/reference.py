@@ -54,8 +54,8 @@ UNITS = (  # ending of a key -> unit; the longest ending that fits counts
 def pages() -> dict[str, str]:
     """Name of each generated page below `reference/`, and its Markdown."""
     found = {
-        "commands": commands(), "signals": signals(), "effects": effects(), "states": states(), "trips": trips(),
-        "api": api(),
+        "commands": commands(), "signals": signals(), "effects": effects(), "states": states_markdown(),
+        "trips": trips(), "api": api(),
     }  # fmt: skip
     return found | {f"file_{kind}": file_page(kind) for kind in SCHEMAS}
 
@@ -347,21 +347,6 @@ def _law(law: Law) -> list[str]:
     return lines + table(("parameter", "unit", "kind", "range", "meaning"), rows)
 
 
-def states() -> str:
-    """The state machine of the service, as it is interpreted."""
-    text = states_markdown().split("\n")
-    return "\n".join(["# States of the service", "", *(_demoted(line) for line in text[1:])])
-
-
-def _demoted(line: str) -> str:
-    return (
-        "Generated from `fffo_drive/daemon/states.py`, the table that the service executes. A request without a "
-        "row in the present state is refused, and the answer names the states that allow it."
-        if line.startswith("Made by")
-        else line
-    )
-
-
 def trips() -> str:
     """Every trip of the envelope with its default reaction."""
     rows = []
@@ -389,7 +374,7 @@ def trips() -> str:
 
 
 def api() -> str:
-    """The methods of the service's control API with their parameters."""
+    """The methods of the daemon's control API with their parameters."""
     from ..daemon import methods as module
 
     answers = (module.__doc__ or "").partition("\n\n")[2]
@@ -397,14 +382,14 @@ def api() -> str:
         "# Control API",
         "",
         (
-            "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the service: "
+            "Newline-delimited JSON-RPC 2.0 over two Unix sockets in the directory of the daemon: "
             "`control.sock` for everything,"
         ),
         (
             "`watch.sock` for the methods that only read. `fffo-drive ctl` is generated from the same table, and "
             "`fffo-drive ctl schema`"
         ),
-        "prints the JSON schemas of a running service.",
+        "prints the JSON schemas of a running daemon.",
         "",
         "## Answers and errors",
         "",

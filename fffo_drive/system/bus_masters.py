@@ -37,7 +37,7 @@ class BusMasters:
         holder = bus_holder(bus)
         if holder is not None:
             text = f"{holder} on this machine commands on {bus}; {nodes}"
-            return [warning(SUBJECT, text, f"fffo-drive ctl status, if it is a service. {ONE_MASTER}")]
+            return [warning(SUBJECT, text, f"fffo-drive ctl status, if it is a daemon. {ONE_MASTER}")]
         obstacles = heard.obstacles()
         if obstacles:
             return [failure(SUBJECT, f"{bus}: {obstacle.text}", obstacle.remedy) for obstacle in obstacles]

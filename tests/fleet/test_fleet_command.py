@@ -45,7 +45,7 @@ def fleet(facts_file, tmp_path_factory):
 def test_status_counts_and_names_the_drives(fleet, capsys):
     assert main(["fleet", "status", str(fleet)]) == 0
     said = capsys.readouterr().out
-    assert "24 runs of 6 drives, 1 model: 100 % done" in said
+    assert "24 runs of 6 drives, 1 type: 100 % done" in said
     assert "M1, SN3: 4 runs, 2026-03-02 to 2026-03-23" in said
     assert main(["fleet", "status", str(fleet), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)

@@ -111,7 +111,7 @@ def test_a_population_s_file_and_the_library_say_the_same(store, short, facts_fi
     ("words", "said"),
     [
         (["--prior", "nowhere"], "nowhere: no store here"),
-        (["--prior", "STORE", "--prior-model", "M2"], "no record of model 'M2'"),
+        (["--prior", "STORE", "--prior-model", "M2"], "no record of type 'M2'"),
         (["--prior", "STORE"], "give --prior-model"),
         (["--prior-model", "M1"], "give the store with --prior"),
         (["--prior", "missing.json"], "missing.json"),
@@ -132,7 +132,7 @@ def test_too_few_drives_make_no_prior_and_a_drive_is_not_its_own(store, short, f
         assert main(["fleet", "add", str(few), run, *words, "--work", "--workers", "1"]) == 0
     assert identified(short, facts_file, tmp_path / "out", "--prior", str(few), "--prior-model", "M1") == 78
     said = capsys.readouterr().err
-    assert f"{len(runs)} drives of model M1" in said
+    assert f"{len(runs)} drives of type M1" in said
     assert "two more drives than parameters (here 10, so 1 more)" in said
     with pytest.raises(DocumentError, match="give one of them"):
         fd.diagnose(fd.read_run(short, facts=facts_file), model=read_any_model(), prior=store)
