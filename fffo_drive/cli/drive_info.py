@@ -113,7 +113,7 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
     if fitness.highest_rate_hz is not None:
         units.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
     if units:
-        lines += ["", "units and rate:", *units]
+        lines += ["", "units, rate and axes:", *units]
     lines += ["", "PDO mappings that the program sets up:"]
     for pdo in fitness.pdos:
         state = "; ".join(pdo.problems) or "possible"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from ..documents import accepts
 from ..drive.canopen.config import CanopenDriveConfig
-from ..drive.canopen.needs import has_mode, mode_text
+from ..drive.canopen.needs import has_mode, mode_text, other_axes
 from ..drive.canopen.object_map import STANDARD_SLOTS
 from ..drive.canopen.reported_units import reported_units, unit_remarks
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS, DriveObjects, available
@@ -29,7 +29,7 @@ class DriveProposal(NamedTuple):
     section: dict[str, Any]  # keys that differ from the defaults, as an axis file has them
     sources: dict[str, str]  # key -> where it comes from, or why it stands there
     stand_ins: tuple[str, ...]  # what takes the place of something that the drive lacks, one sentence each
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...]  # about units, and axes beside the one that is used
 
     def with_key(self, key: str, value: Any, source: str) -> DriveProposal:
         """With one key more."""
@@ -85,7 +85,7 @@ def propose(objects: DriveObjects, base: Mapping[str, Any] | None = None) -> Dri
     for key, value in reported_units(objects, unit_nm, unit_a).items():
         if accepts(CanopenDriveSection, {**PLACEHOLDERS, key: value}):  # what is not set is often 0xFFFFFFFF
             put(key, value, "reported by the drive")
-    return DriveProposal(section, sources, tuple(stand_ins), tuple(unit_remarks(objects)))
+    return DriveProposal(section, sources, tuple(stand_ins), (*unit_remarks(objects), *other_axes(objects)))
 
 
 def config_of(section: Mapping[str, Any], node_id: int) -> CanopenDriveConfig:

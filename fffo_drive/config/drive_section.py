@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ..documents import StrictRecord
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
+from ..drive.canopen.needs import FIRST_AXIS_ONLY
 from ..drive.canopen.object_map import (
     CURRENT,
     STANDARD_SLOTS,
@@ -18,6 +19,7 @@ from ..drive.canopen.object_map import (
     VENDOR_OBJECTS,
     MappedObject,
     PdoSlots,
+    axis_of,
 )
 from ..drive.canopen.sdo_writes import SdoWrite, WritePhase, reserved_reason
 from ..drive.canopen.silence import HEARTBEAT, Detection, Reaction
@@ -100,6 +102,12 @@ class TargetSection(StrictRecord):
     @classmethod
     def _holds_torque(cls, index: int) -> int:
         if index not in VENDOR_OBJECTS and index not in cls.standard:
+            axis, same = axis_of(index)
+            if axis > 1 and same in cls.standard:
+                raise ValueError(
+                    f"0x{index:04X} is 0x{same:04X} of axis {axis} of a node. {FIRST_AXIS_ONLY}: connect this motor to "
+                    f"the first axis and take 0x{same:04X}"
+                )
             known = " or ".join(f"0x{known:04X}" for known in cls.standard)
             vendors = "a vendor's object of torque or current, 0x2000 to 0x5FFF"
             raise ValueError(f"0x{index:04X} is neither the drive's torque here ({known}) nor {vendors}")

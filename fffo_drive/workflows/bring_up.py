@@ -380,10 +380,10 @@ def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
 
 
 def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
-    """What the drive lacks, its replacements, and remarks on its units."""
+    """What the drive lacks, its replacements, and remarks on its units and axes."""
     found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
     found += [warning("replacement", text, "written to the axis file") for text in facts.stand_ins]
-    found += [warning("units", text, "") for text in facts.remarks if not text.startswith("0x6076")]
+    found += [warning("remark", text, "") for text in facts.remarks if not text.startswith("0x6076")]
     found += [ok("silence", f"when the PC is silent: {facts.silence}")] * (not facts.problems)
     return found
 

@@ -78,7 +78,7 @@ class SourcedFacts(NamedTuple):
     profile_keys: dict[str, Any]
     profile_remarks: tuple[str, ...]  # of its author; first, what was tried
     stand_ins: tuple[str, ...]  # replacements for what the drive lacks
-    remarks: tuple[str, ...]  # about units
+    remarks: tuple[str, ...]  # about units, and axes beside the one that is used
     problems: tuple[str, ...]  # requirements that the drive does not meet
     writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
     silence: str  # how the drive notices a silent PC, and how it then stops

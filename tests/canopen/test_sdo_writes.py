@@ -38,6 +38,16 @@ def test_each_phase_has_its_place(config):  # noqa: F811
     assert node.number(0x2020) == 1
 
 
+@pytest.mark.parametrize(
+    ("index", "reason"),
+    [(0x6040, "commands"), (0x6840, "commands"), (0x6871, "commands"), (0x70FF, "commands"), (0x9840, "commands"),
+     (0x605A, "bring-up"), (0x685A, ""), (0x6877, ""), (0xA040, ""), (0x5840, "")],
+)  # fmt: skip
+def test_no_axis_of_a_node_is_commanded_and_the_others_may_be_configured(index, reason):
+    """CiA 402: the objects of the second axis are those of the first + 0x800, and so on to eight axes."""
+    assert (reason in reserved_reason(index)) if reason else reserved_reason(index) == ""
+
+
 def test_a_rating_that_is_written_is_compared_afterwards(config):  # noqa: F811
     rating = SdoWrite(0x6076, 0, 1000, 4, "before_mapping", True, (), "the motor")
     config = dataclasses.replace(config, sdo=(rating,))

@@ -218,6 +218,17 @@ def test_drive_info_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert "0x1006:00: the drive knows the SYNC period" in facts["missing"]
 
 
+def test_drive_info_says_that_of_two_axes_the_first_is_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drive-info", path_of("capitals")]) == 0
+    assert "another axis" not in capsys.readouterr().out
+    second = "\n[6841]\nParameterName=Statusword 2\nObjectType=7\nDataType=6\nAccessType=ro\n"
+    path = tmp_path / "two_axes.eds"
+    path.write_text(Path(path_of("capitals")).read_text(encoding="latin-1") + second, encoding="latin-1")
+    assert main(["drive-info", str(path)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the node has another axis (0x6841). Of a node only the first axis (0x6000 to 0x67FF) can be driven" in said
+
+
 def test_drive_info_of_what_is_no_eds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drive-info", str(tmp_path / "none.eds")]) == 78
     assert "No such file" in capsys.readouterr().err

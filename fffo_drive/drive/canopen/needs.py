@@ -7,7 +7,7 @@ from typing import Any
 from ..cia402 import MODE_CYCLIC_SYNCHRONOUS_TORQUE, MODE_PROFILE_TORQUE
 from . import silence
 from .config import CanopenDriveConfig
-from .object_map import CONTROLWORD, MODE, MODE_DISPLAY, POSITION, STATUSWORD, VELOCITY
+from .object_map import AXIS_OBJECTS, CONTROLWORD, MODE, MODE_DISPLAY, POSITION, STATUSWORD, VELOCITY
 from .service import object_name
 from .silence import DriveObjects
 
@@ -18,6 +18,9 @@ MODE_NAMES = {
     6: "homing", 7: "interpolated position", 8: "cyclic synchronous position", 9: "cyclic synchronous velocity",
     MODE_CYCLIC_SYNCHRONOUS_TORQUE: "cyclic synchronous torque",
 }  # fmt: skip
+
+
+FIRST_AXIS_ONLY = "Of a node only the first axis (0x6000 to 0x67FF) can be driven"
 
 
 class FileObjects:
@@ -84,6 +87,14 @@ def check_modes(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:
     else:
         remedy = ""
     return [f"there is no mode {mode_text(config.mode)}: 0x6502:00 {shown}, {bit} is needed{remedy}"]
+
+
+def other_axes(objects: DriveObjects) -> list[str]:
+    """A remark where the node has further axes; none where it has one."""
+    second = STATUSWORD + AXIS_OBJECTS
+    if not objects.has(second):
+        return []
+    return [f"the node has another axis (0x{second:04X}). {FIRST_AXIS_ONLY}; nothing is written to the others"]
 
 
 def needs(objects: DriveObjects, config: CanopenDriveConfig) -> list[str]:

@@ -22,6 +22,9 @@ MODE, MODE_DISPLAY = 0x6060, 0x6061
 POSITION, VELOCITY = 0x6064, 0x606C
 TARGET_TORQUE, TORQUE, TORQUE_OFFSET = 0x6071, 0x6077, 0x60B2
 CURRENT = 0x6078
+FIRST_OBJECT = 0x6000
+AXIS_OBJECTS = 0x800  # CiA 402: each further axis of a node has the objects of the first, this much higher
+MOST_AXES = 8
 VENDOR_OBJECTS = range(0x2000, 0x6000)  # of a meaning that only the vendor's manual gives
 
 # fields of the feedback that a TPDO object fills; the layout table holds these numbers
@@ -34,6 +37,13 @@ FEEDBACK_OBJECTS = {
 }
 # object -> bits; the target beside them is the drive's own object
 COMMAND_OBJECTS = {CONTROLWORD: 16, TARGET_TORQUE: 16, TORQUE_OFFSET: 16, MODE: 8}
+
+
+def axis_of(index: int) -> tuple[int, int]:
+    """Number from 1 of the axis of a node that an object of CiA 402 belongs to, and that object of the first axis."""
+    axis = (index - FIRST_OBJECT) // AXIS_OBJECTS
+    return (axis + 1, index - axis * AXIS_OBJECTS) if 0 <= axis < MOST_AXES else (1, index)
+
 
 EVERY_SYNC = 1
 ON_EVENT = 255

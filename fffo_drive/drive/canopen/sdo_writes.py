@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 from ..port import DriveRefusedError
 from .checked import write_checked
+from .object_map import axis_of
 from .service import SdoRefusedError, Service, object_name
 
 WritePhase = Literal["before_mapping", "before_enable", "after_disable"]
@@ -48,7 +49,9 @@ class SdoWrite(NamedTuple):
 
 def reserved_reason(index: int) -> str:
     """Why an object is refused in the list; empty if it is allowed."""
-    return next((reason for indices, reason in RESERVED.items() if index in indices), "")
+    axis, same = axis_of(index)
+    reason = next((reason for indices, reason in RESERVED.items() if same in indices), "")
+    return reason if axis == 1 or reason == _COMMANDS else ""  # another axis of the node may be configured, not moved
 
 
 def write_phase(service: Service, writes: Sequence[SdoWrite], when: WritePhase) -> None:
