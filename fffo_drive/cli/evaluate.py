@@ -73,7 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--peers",
         action="store_true",
-        help="run published laws as well (LuGre, generalised Maxwell slip, disturbance and extended state observer)",
+        help="run published laws as well (LuGre, generalised Maxwell slip, disturbance and extended state observer, "
+        "reduced-order friction observer)",
     )
     parser.add_argument("--node", metavar="FILE", help="with --bus: start this simulated drive on the bus")
     parser.add_argument(
@@ -164,7 +165,8 @@ def _caution_about_fits(left: Sequence[float]) -> str:
     return (
         "The published laws have the gains, inertia torque and preview of pi+fffo+, and run without the envelope. "
         "Their friction models are fitted to one run on the same simulated axis and then given the scenario's model "
-        f"error. Friction that the fit leaves unexplained: {shares}."
+        f"error. Friction that the fit leaves unexplained: {shares}. luenberger+ is a law after Ruderman (arXiv "
+        "2504.21316): its tangent stiffness, from the 2SEP fit, and the choice of its poles are this project's."
     )
 
 

@@ -144,7 +144,10 @@ def _sweep_rad_per_s(highest_hz: float) -> Floats:
 def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
     """Margins of an open loop over angular frequencies, arrays (n,), with an additional delay."""
     magnitude = np.abs(rational)
-    phase_deg = np.degrees(np.unwrap(np.angle(rational)) - omega * delay_s)
+    phase = np.unwrap(np.angle(rational))
+    if phase[0] > 0.75 * math.pi:  # two integrators and a lag begin below -180 degrees, not below +180
+        phase -= 2.0 * math.pi
+    phase_deg = np.degrees(phase - omega * delay_s)
 
     below = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
     phase_margin_deg = min((180.0 + float(phase_deg[i]) for i in below), default=math.inf)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-PEERS = {"2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+"}
+PEERS = {"2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+", "luenberger+"}
 LAWS = {"pi", "pi+fffo", "pi+fffo+"} | PEERS
 PLANTS = ("five_surfaces", "single_2sep", "lugre", "maxwell_slip")
 

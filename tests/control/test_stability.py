@@ -42,6 +42,16 @@ def test_margins_of_an_integrator_with_delay():
     assert margins.gain == pytest.approx(math.pi / 2 / (crossover * 0.002), rel=1e-3)
 
 
+def test_a_loop_of_two_integrators_and_a_lag_begins_below_180_degrees():
+    """A hold of the position on a sliding axis: the phase margin at the crossover is that of its open loop there."""
+    axis, kp, ki, hold = LinearAxis(1e-3, 0.003, 0.002, 0.1), 1.0, 10.0, 50.0
+    margins = loop_margins(axis, kp, ki, 0.0, 0.0, hold)
+    s = 2j * math.pi * margins.crossover_hz
+    open_loop = 0.1 * (kp + ki / s + hold / s**2) / (1e-3 * s + 0.003) * np.exp(-0.002 * s)
+    assert margins.phase_deg == pytest.approx(180.0 + math.degrees(np.angle(open_loop)), abs=0.1)
+    assert 60.0 < margins.phase_deg < 90.0
+
+
 @pytest.mark.parametrize(
     ("gain_nm_per_rev", "phase_deg", "gain_margin"), [(0.0, 62, 3.4), (3.3, 53, 3.3), (10.0, 38, 3.0)]
 )

@@ -22,7 +22,7 @@ from fffo_drive.evaluation.measures import START_S
 from fffo_drive.evaluation.peers import disturbance_observer as dob
 from fffo_drive.evaluation.peers.campaign import plus_of, run_peers
 from fffo_drive.evaluation.peers.constants import INTEGRAL_A, LIMITED, MEMORY_SLOTS, OWN, PeerConfig
-from fffo_drive.evaluation.peers.design import observer_gains, observer_margins
+from fffo_drive.evaluation.peers.design import ObserverForm, observer_gains, observer_margins
 from fffo_drive.evaluation.peers.fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction, friction_along
 from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
@@ -34,12 +34,14 @@ from fffo_drive.evaluation.peers.laws import (
     axis_numbers,
     design_for,
     error_filter_s,
+    friction_form,
     known_numbers,
     laws_of,
     scaled,
     wrong,
 )
 from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
+from fffo_drive.evaluation.peers.luenberger import LuenbergerLoop
 from fffo_drive.evaluation.peers.lugre import LugreConfig, lugre_step, lugre_torque, stribeck_nm
 from fffo_drive.evaluation.peers.measures import NOT_FINITE, measure_peer
 from fffo_drive.evaluation.trace import Trace, trace_of
@@ -51,6 +53,8 @@ PAPER = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.y
 PERIOD_S = 0.0005
 AXIS = LinearAxis(9.425e-4, 0.003, 0.003, 0.148)
 FILTER_S = 0.0002
+DOB, ESO = ObserverForm((0.0,)), ObserverForm((0.0, 0.0))
+BESIDE_PI = ObserverForm((0.0, 500.0), 10.0, 0.0007)
 MODELS = Models(TABLE_1, LUGRE_START, SLIP_START)
 PEER = PeerConfig(
     PiConfig(0.5, 0.0), FeedforwardConfig(0.0, 0.0, 0.0), AXIS.torque_constant_nm_per_a, 16.6, PERIOD_S, 1.0
@@ -177,28 +181,35 @@ def test_margins_of_a_disturbance_observer_are_those_of_the_pi_that_it_is_withou
     as_pi = loop_margins(
         axis, proportional + bandwidth * axis.inertia_nm_s2_per_rev / kt, proportional * bandwidth, 0.0
     )
-    found = observer_margins(axis, proportional, bandwidth, 1)
+    found = observer_margins(axis, proportional, bandwidth, DOB)
     assert found.crossover_hz == pytest.approx(as_pi.crossover_hz, rel=1e-3)
     assert found.phase_deg == pytest.approx(as_pi.phase_deg, abs=0.05)
 
 
 def test_margins_without_an_observer_are_those_of_p_with_its_filter():
     as_p = loop_margins(AXIS, 0.6, 0.0, 0.0, FILTER_S)
-    found = observer_margins(AXIS, 0.6, 1e-7, 1, FILTER_S)
+    found = observer_margins(AXIS, 0.6, 1e-7, DOB, FILTER_S)
     assert found.phase_deg == pytest.approx(as_p.phase_deg, abs=0.05)
     assert found.gain == pytest.approx(as_p.gain, rel=1e-3)
-    assert observer_margins(AXIS, 0.6, 1e-7, 1).phase_deg > found.phase_deg + 1.0
+    assert observer_margins(AXIS, 0.6, 1e-7, DOB).phase_deg > found.phase_deg + 1.0
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_gains_of_an_observer_have_the_margins_that_were_asked_for_and_no_more(order):
+def test_margins_without_an_observer_are_those_of_pi_where_there_is_one_beside_it():
+    as_pi = loop_margins(AXIS, 0.6, 6.0, 0.0, FILTER_S)
+    found = observer_margins(AXIS, 0.6, 1e-7, BESIDE_PI, FILTER_S)
+    assert found.phase_deg == pytest.approx(as_pi.phase_deg, abs=0.05)
+    assert found.gain == pytest.approx(as_pi.gain, rel=1e-3)
+
+
+@pytest.mark.parametrize("form", [DOB, ESO, BESIDE_PI], ids=["dob", "eso", "beside pi"])
+def test_gains_of_an_observer_have_the_margins_that_were_asked_for_and_no_more(form):
     wish = Wish(phase_margin_deg=46.0, gain_margin=3.0)
-    gains = observer_gains(AXIS, order, wish, FILTER_S)
-    found = observer_margins(AXIS, gains.proportional_a_per_rps, gains.bandwidth_rad_per_s, order, FILTER_S)
+    gains = observer_gains(AXIS, form, wish, FILTER_S)
+    found = observer_margins(AXIS, gains.proportional_a_per_rps, gains.bandwidth_rad_per_s, form, FILTER_S)
     assert found.phase_deg >= 46.0
     assert found.gain >= 3.0
     assert min(found.phase_deg - 46.0, 100.0 * (found.gain - 3.0)) < 1.0  # one of the two binds
-    faster = observer_margins(AXIS, gains.proportional_a_per_rps, 1.05 * gains.bandwidth_rad_per_s, order, FILTER_S)
+    faster = observer_margins(AXIS, gains.proportional_a_per_rps, 1.05 * gains.bandwidth_rad_per_s, form, FILTER_S)
     assert faster.phase_deg < 46.0 or faster.gain < 3.0
 
 
@@ -244,10 +255,19 @@ def test_laws_keep_their_margins_on_an_axis_with_other_numbers(short, design):
     loop = laws["dob+"]
     assert isinstance(loop, dob.ObserverLoop)
     margins = observer_margins(
-        axis, loop.peer.pi.proportional_a_per_rps, loop.bandwidth_rad_per_s, 1, error_filter_s(own)
+        axis, loop.peer.pi.proportional_a_per_rps, loop.bandwidth_rad_per_s, DOB, error_filter_s(own)
     )
     assert margins.phase_deg == pytest.approx(design.disturbance.margins.phase_deg, abs=2.0)
     assert loop.delay_ticks == pytest.approx(9.0)
+    position = laws["luenberger+"]
+    assert isinstance(position, LuenbergerLoop)
+    margins = observer_margins(
+        axis, position.peer.pi.proportional_a_per_rps, position.slow_rad_per_s,
+        friction_form(own, other, position.model), error_filter_s(own),
+    )  # fmt: skip
+    assert margins.phase_deg == pytest.approx(design.friction_state.margins.phase_deg, abs=2.0)
+    assert margins.gain == pytest.approx(design.friction_state.margins.gain, rel=0.05)
+    assert position.delay_ticks == pytest.approx(9.0 - 1.4)  # the position is not behind as the velocity is
     # forward laws have the same integral action as those that observe
     forward, observer = laws["lugre forward+"], laws["lugre observer+"]
     assert isinstance(forward, LugreConfig)
@@ -308,7 +328,9 @@ def test_published_laws_are_run_beside_those_of_a_scenario_and_as_the_benchmark_
     """The same axis, noise and reference: with the same model, `2sep observer+` errs as much as in the benchmark."""
     case = case_of(short, 2)
     found = {one.candidate: one for one in run_peers(case, MODELS, 0.0, None)}
-    assert list(found) == ["2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+"]
+    assert list(found) == [
+        "2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+", "luenberger+",
+    ]  # fmt: skip
     assert all(one.seed == 2 and one.fault_text is None for one in found.values())
     law = next(one for one in laws_of(case.candidates, design, design.nominal, MODELS) if one.name == "2sep observer+")
     trace = run_law(case.plant, case.device, law, case.profile).trace

@@ -222,12 +222,14 @@ def axes_table(found: dict[str, Runs]) -> list[str]:
 def design_table(design: PeerDesign) -> list[str]:
     """Gains and margins on the nominal axis."""
     lines = [
-        "| loop | Kp A/rps | bandwidth of the observer rad/s | phase margin | gain margin |",
+        "| loop | Kp A/rps | bandwidth of the observer (slowest pole) rad/s | phase margin | gain margin |",
         "|---|---|---|---|---|",
     ]
     plus = design.margins
-    lines.append(f"| PI and all with a friction model | as configured | – | {plus.phase_deg:.1f}° | {plus.gain:.2f} |")
-    for name, gains in (("dob+", design.disturbance), ("eso+", design.extended_state)):
+    known = "PI and all with a friction model on the reference"
+    lines.append(f"| {known} | as configured | – | {plus.phase_deg:.1f}° | {plus.gain:.2f} |")
+    observers = {"dob+": design.disturbance, "eso+": design.extended_state, "luenberger+": design.friction_state}
+    for name, gains in observers.items():
         lines.append(
             f"| {name} | {gains.proportional_a_per_rps:.3f} | {gains.bandwidth_rad_per_s:.0f} "
             f"| {gains.margins.phase_deg:.1f}° | {gains.margins.gain:.2f} |"
@@ -254,7 +256,10 @@ def compare(sizes: Sizes, shown: bool) -> tuple[list[str], dict[str, object]]:
     grounds = {kind: ground_of(scenario, kind, sizes.record_s) for kind in KINDS}
     lines = ["## Gains", "", *design_table(design), "## Models", "", *fit_table(grounds)]
     facts: dict[str, object] = {
-        "margins": {name: list(getattr(design, name).margins[:2]) for name in ("disturbance", "extended_state")},
+        "margins": {
+            name: list(getattr(design, name).margins[:2])
+            for name in ("disturbance", "extended_state", "friction_state")
+        },
         "asked": list(design.margins[:2]),
         "left": {kind: list(ground.left) for kind, ground in grounds.items()},
     }
@@ -289,7 +294,10 @@ def preface(made_from: str, seconds: float) -> list[str]:
         "preview and error filter.",
         "`pi+fffo+` is as configured: the 2SEP model on the reference, L in the integral. `2sep observer+` has L in "
         "the",
-        "friction estimate. Intervals are 95 %: over resampled seeds, and Wilson's for shares of axes.",
+        "friction estimate. `luenberger+` is PI with a law after Ruderman (arXiv 2504.21316): from there are the",
+        "reduced-order observer of velocity and friction on the position, its real eigenvalues and an assigned slowest",
+        "pole; its tangent stiffness (of the fitted 2SEP model) and the choice of its poles are this project's.",
+        "Intervals are 95 %: over resampled seeds, and Wilson's for shares of axes.",
         "",
         "A random axis has inertia, torque constant, delay, sensor and effects of trial_axes/random_axis, and friction",
         f"parameters within {100 * SPREAD:.0f} % of the plant's. The laws know inertia, torque constant and delay",

@@ -51,3 +51,11 @@ def command_for(config: PeerConfig, memory: Floats, reference: Reference, error_
     command_a = min(max(wanted_a, -limit_a), limit_a)
     memory[LIMITED] = 1.0 if command_a != wanted_a else 0.0
     return float(command_a)
+
+
+@njit
+def remember(memory: Floats, first: int, command_a: float) -> None:
+    """Put a command before the earlier ones, which are kept from `first` to the end of the memory."""
+    for place in range(MEMORY_SLOTS - 1, first, -1):
+        memory[place] = memory[place - 1]
+    memory[first] = command_a

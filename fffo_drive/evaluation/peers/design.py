@@ -1,11 +1,14 @@
 """One procedure for all laws: the largest integral action with the required margins on the linear axis.
 
-Laws with a friction model have the loop of PI plus L (identification.tuning chooses it). A disturbance observer has
+Laws with a friction model on the reference have the loop of PI plus L (identification.tuning chooses it). A law with a
+disturbance observer has, as has the friction observer on the position in sliding,
 
-    T = -C(s) w,   C = (Kp Kt / (1 + Tf s) + Q J s) / (1 - Q exp(-Td s)),   open loop  C exp(-Td s) / (J s + D)
+    T = -C(s) w,   C = (C0 / (1 + Tf s) + Q J s exp(Tx s)) / (1 - Q exp(-(Td - Tx) s)),   C0 = Kp Kt (1 + 1 / (Ti s))
+    open loop  C exp(-Td s) / (J s + D),   Q = product of wi / (s + wi)
 
-with Tf of the error's filter, which is outside the observer. It rejects a slow disturbance like an integral with gain
-Kp Kt / (n / wo + Td), where n is the order of Q.
+with Tf of the error's filter, which is outside the observer, and Tx by which the observer's measurement is less late
+than the velocity in the error. It rejects a slow disturbance like an integral with gain Kp Kt / (sum of 1 / wi + Td -
+Tx); 1 / Ti, where there is one, stays as it is.
 """
 
 from __future__ import annotations
@@ -23,8 +26,16 @@ CROSSOVERS = 25
 LARGEST_BANDWIDTH = 4.0  # over one by the delay
 
 
+class ObserverForm(NamedTuple):
+    """What is known of an observer before its gains are chosen."""
+
+    beyond_rad_per_s: tuple[float, ...]  # of each pole of Q: by how much it is faster than the bandwidth
+    integral_per_s: float = 0.0  # 1 / Ti of the feedback beside it; 0: P alone
+    earlier_s: float = 0.0  # Tx
+
+
 class ObserverGains(NamedTuple):
-    """A proportional gain and the bandwidth of its disturbance observer."""
+    """A proportional gain and the bandwidth of the observer beside it, its slowest pole."""
 
     proportional_a_per_rps: float
     bandwidth_rad_per_s: float
@@ -32,41 +43,50 @@ class ObserverGains(NamedTuple):
 
 
 def observer_margins(
-    axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, order: int, error_filter_s: float = 0.0
+    axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, form: ObserverForm, error_filter_s: float = 0.0
 ) -> Margins:
-    """Margins of P with a disturbance observer of bandwidth `bandwidth` (rad/s) and the error's filter."""
+    """Margins of P or PI with an observer of bandwidth `bandwidth` (rad/s) and the error's filter."""
     omega = sweep_rad_per_s()
     s = 1j * omega
-    late = np.exp(-axis.delay_s * s)
-    low_pass = (bandwidth / (s + bandwidth)) ** order
+    low_pass = np.ones_like(s)
+    for beyond in form.beyond_rad_per_s:
+        low_pass = low_pass * (bandwidth + beyond) / (s + bandwidth + beyond)
     inertia = axis.inertia_nm_s2_per_rev * s
-    proportional = proportional_a_per_rps * axis.torque_constant_nm_per_a / (1.0 + error_filter_s * s)
-    controller = (proportional + low_pass * inertia) / (1.0 - low_pass * late)
+    feedback = proportional_a_per_rps * axis.torque_constant_nm_per_a * (1.0 + form.integral_per_s / s)
+    feedback = feedback / (1.0 + error_filter_s * s)
+    known = low_pass * np.exp((form.earlier_s - axis.delay_s) * s)
+    controller = (feedback + low_pass * inertia * np.exp(form.earlier_s * s)) / (1.0 - known)
     rational = controller / (inertia + axis.damping_nm_per_rps)
     return margins_of(omega, rational, axis.delay_s)
 
 
-def observer_gains(axis: LinearAxis, order: int, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
+def observer_gains(axis: LinearAxis, form: ObserverForm, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
     """Gains with the required margins and the largest integral action. Raises ValueError if there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
     found = [
-        _gains_at(axis, float(crossover), order, wish, error_filter_s)
+        _gains_at(axis, float(crossover), form, wish, error_filter_s)
         for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS)
     ]
     held = [gains for gains in found if gains.bandwidth_rad_per_s > 0.0]
     if not held:
         raise ValueError("no proportional gain has the required margins")
-    return max(
-        held, key=lambda gains: gains.proportional_a_per_rps / (order / gains.bandwidth_rad_per_s + axis.delay_s)
-    )
+    return max(held, key=lambda gains: _integral_action(axis, form, gains))
 
 
-def _gains_at(axis: LinearAxis, crossover: float, order: int, wish: Wish, error_filter_s: float) -> ObserverGains:
+def _integral_action(axis: LinearAxis, form: ObserverForm, gains: ObserverGains) -> float:
+    """Kp over the time by which the observer is behind a slow disturbance."""
+    behind_s = sum(1.0 / (gains.bandwidth_rad_per_s + beyond) for beyond in form.beyond_rad_per_s)
+    return gains.proportional_a_per_rps / (behind_s + axis.delay_s - form.earlier_s)
+
+
+def _gains_at(
+    axis: LinearAxis, crossover: float, form: ObserverForm, wish: Wish, error_filter_s: float
+) -> ObserverGains:
     """At a crossover (rad/s) of P alone, with the largest bandwidth that has the margins; 0 where none has."""
     proportional = crossover * axis.inertia_nm_s2_per_rev / axis.torque_constant_nm_per_a
 
     def margins(bandwidth: float) -> Margins:
-        return observer_margins(axis, proportional, bandwidth, order, error_filter_s)
+        return observer_margins(axis, proportional, bandwidth, form, error_filter_s)
 
     bandwidth = largest_that(LARGEST_BANDWIDTH / axis.delay_s, lambda bandwidth: wish.is_met(margins(bandwidth)))
     return ObserverGains(proportional, bandwidth, margins(bandwidth))

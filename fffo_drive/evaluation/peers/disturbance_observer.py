@@ -16,7 +16,7 @@ from ...arrays import Floats
 from ...control.feedforward import Reference, read_samples
 from ...jit import njit
 from ...packing import reader
-from .constants import MEMORY_SLOTS, OWN, PeerConfig, command_for, filtered_error
+from .constants import OWN, PeerConfig, command_for, filtered_error, remember
 
 FIRST_NM = OWN  # estimate through the first low-pass
 VELOCITY_RPS = OWN + 1  # of the last period
@@ -54,7 +54,5 @@ def observer_loop_step(parameters: Floats, memory: Floats, reference: Reference,
     memory[SECOND_NM] = memory[FIRST_NM] + (memory[SECOND_NM] - memory[FIRST_NM]) * kept
     missing_nm = memory[SECOND_NM] if config.order == 2 else memory[FIRST_NM]
     command_a = command_for(peer, memory, reference, error_rps, missing_nm)
-    for place in range(MEMORY_SLOTS - 1, HISTORY, -1):
-        memory[place] = memory[place - 1]
-    memory[HISTORY] = command_a
+    remember(memory, HISTORY, command_a)
     return command_a

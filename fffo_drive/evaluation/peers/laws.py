@@ -26,10 +26,11 @@ from ...model.friction import FrictionConfig
 from ...units import inertia_nm_s2_per_rev
 from ..campaign import Candidate
 from .constants import PeerConfig
-from .design import ObserverGains, observer_gains
+from .design import ObserverForm, ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
 from .fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction
 from .loop import PeerLaw
+from .luenberger import LuenbergerLoop, further_pole_rad_per_s
 from .lugre import LugreConfig, LugreModel
 from .maxwell_slip import SlipConfig, SlipModel
 
@@ -74,6 +75,7 @@ class PeerDesign(NamedTuple):
     margins: Margins  # of PI+FFFO+
     disturbance: ObserverGains  # Q of first order
     extended_state: ObserverGains  # Q of second order
+    friction_state: ObserverGains  # friction observer on the position
 
 
 def axis_numbers(plant: PlantConfig) -> AxisNumbers:
@@ -151,7 +153,10 @@ def known_numbers(plus: ControllerConfig) -> AxisNumbers:
 
 
 def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps: float) -> PeerDesign:
-    """Gains of the disturbance observers with the margins of PI+FFFO+ on this axis. ValueError: none has them."""
+    """Gains of all observers with the margins of PI+FFFO+ on this axis. ValueError: none has them.
+
+    The friction observer on the position needs the friction model of PI+FFFO+ as well.
+    """
     axis = LinearAxis(
         numbers.inertia_nm_s2_per_rev,
         viscous_nm_per_rps,
@@ -163,8 +168,21 @@ def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps:
         axis, plus.pi.proportional_a_per_rps, plus.pi.integral_a_per_rev, plus.observer.gain_nm_per_rev, filter_s
     )
     wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
-    disturbance, extended = (observer_gains(axis, order, wish, filter_s) for order in (DOB_ORDER, ESO_ORDER))
-    return PeerDesign(numbers, margins, disturbance, extended)
+    forms = (
+        ObserverForm(DOB_ORDER * (0.0,)),
+        ObserverForm(ESO_ORDER * (0.0,)),
+        friction_form(plus, numbers, plus.observer.friction),
+    )
+    return PeerDesign(numbers, margins, *(observer_gains(axis, form, wish, filter_s) for form in forms))
+
+
+def friction_form(plus: ControllerConfig, numbers: AxisNumbers, friction: FrictionConfig) -> ObserverForm:
+    """Of the friction observer on the position, in sliding, beside the PI of `plus`."""
+    return ObserverForm(
+        (0.0, further_pole_rad_per_s(friction, numbers.inertia_nm_s2_per_rev)),
+        plus.pi.integral_a_per_rev / plus.pi.proportional_a_per_rps,
+        numbers.sensor_delay_s,
+    )
 
 
 def with_friction(config: ControllerConfig, friction: FrictionConfig) -> ControllerConfig:
@@ -236,20 +254,42 @@ def peers_of(
         PeerLaw("gms forward+", SlipConfig(learning, models.slip)),
         PeerLaw("dob+", _observer_loop(peer, design, axis, design.disturbance, DOB_ORDER)),
         PeerLaw("eso+", _observer_loop(peer, design, axis, design.extended_state, ESO_ORDER)),
+        PeerLaw("luenberger+", _luenberger_loop(peer, plus, design, axis, models.two_state)),
     ]
 
 
 def _observer_loop(
     peer: PeerConfig, design: PeerDesign, axis: AxisNumbers, gains: ObserverGains, order: int
 ) -> ObserverLoop:
-    faster = design.nominal.delay_s / axis.delay_s
-    per_torque = design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
-    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
-    proportional = gains.proportional_a_per_rps * inertia_ratio * per_torque * faster
+    proportional, bandwidth = _scaled_gains(design, axis, gains)
     return ObserverLoop(
         peer._replace(pi=PiConfig(proportional, 0.0)),
         axis.inertia_nm_s2_per_rev,
-        gains.bandwidth_rad_per_s * faster,
+        bandwidth,
         order,
         axis.delay_s / peer.period_s,
     )
+
+
+def _luenberger_loop(
+    peer: PeerConfig, plus: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
+) -> LuenbergerLoop:
+    """The further pole is the axis's own: with the stiffness of its friction, the eigenvalues stay real."""
+    proportional, slow_rad_per_s = _scaled_gains(design, axis, design.friction_state)
+    form = friction_form(plus, axis, friction)
+    return LuenbergerLoop(
+        peer._replace(pi=PiConfig(proportional, proportional * form.integral_per_s)),
+        friction,
+        axis.inertia_nm_s2_per_rev,
+        slow_rad_per_s,
+        slow_rad_per_s + form.beyond_rad_per_s[-1],
+        (axis.delay_s - axis.sensor_delay_s) / peer.period_s,
+    )
+
+
+def _scaled_gains(design: PeerDesign, axis: AxisNumbers, gains: ObserverGains) -> tuple[float, float]:
+    """Proportional gain (A/rps) and bandwidth (rad/s) on another axis."""
+    faster = design.nominal.delay_s / axis.delay_s
+    per_torque = design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
+    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
+    return gains.proportional_a_per_rps * inertia_ratio * per_torque * faster, gains.bandwidth_rad_per_s * faster

@@ -30,13 +30,14 @@ from ...units import NS_PER_S
 from ..trace import Trace
 from .constants import MEMORY_SLOTS
 from .disturbance_observer import ObserverLoop, observer_loop_step
+from .luenberger import LuenbergerLoop, luenberger_step
 from .lugre import LugreConfig, lugre_step
 from .maxwell_slip import SlipConfig, slip_step
 
-OWN_LAW, LUGRE, MAXWELL_SLIP, OBSERVER = range(4)
+OWN_LAW, LUGRE, MAXWELL_SLIP, OBSERVER, LUENBERGER = range(5)
 MEASURED_RPS, TRUE_RPS, FRICTION_NM, COMMAND_A = range(4)
 
-Config = ControllerConfig | LugreConfig | SlipConfig | ObserverLoop
+Config = ControllerConfig | LugreConfig | SlipConfig | ObserverLoop | LuenbergerLoop
 
 
 class PeerLaw(NamedTuple):
@@ -54,7 +55,13 @@ class PeerLaw(NamedTuple):
     @property
     def kind(self) -> int:
         """Which step."""
-        kinds = {ControllerConfig: OWN_LAW, LugreConfig: LUGRE, SlipConfig: MAXWELL_SLIP, ObserverLoop: OBSERVER}
+        kinds = {
+            ControllerConfig: OWN_LAW,
+            LugreConfig: LUGRE,
+            SlipConfig: MAXWELL_SLIP,
+            ObserverLoop: OBSERVER,
+            LuenbergerLoop: LUENBERGER,
+        }
         return kinds[type(self.config)]
 
 
@@ -89,8 +96,10 @@ def _run(
                 command_a = lugre_step(parameters, memory, reference, velocity_rps)
             elif kind == MAXWELL_SLIP:
                 command_a = slip_step(parameters, memory, reference, velocity_rps)
-            else:
+            elif kind == OBSERVER:
                 command_a = observer_loop_step(parameters, memory, reference, velocity_rps)
+            else:
+                command_a = luenberger_step(parameters, memory, reference, velocity_rps, feedback["position_rev"])
             found[MEASURED_RPS, sample] = velocity_rps
             found[TRUE_RPS, sample] = feedback["true_velocity_rps"]
             found[FRICTION_NM, sample] = feedback["true_friction_nm"]
