@@ -147,14 +147,19 @@ def machine() -> str:
 
 def commit() -> str:
     """Short hash of the tree, with a + for changes that are not committed (results themselves aside)."""
-    described = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
     changed = ["git", "-C", str(ROOT), "status", "--porcelain", "--", "fffo_drive", "tools/benchmarks/*.py"]
     try:
-        name = subprocess.run(described, capture_output=True, text=True, check=True).stdout.strip()
+        name = commit_of(ROOT)
         dirty = subprocess.run(changed, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return name + ("+" if dirty else "")
+
+
+def commit_of(checkout: Path) -> str:
+    """Short hash of the commit that a checkout is at. Raises OSError, subprocess.CalledProcessError."""
+    described = ["git", "-C", str(checkout), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(described, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def parser(name: str, purpose: str, passes: int, sample_passes: int) -> argparse.ArgumentParser:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import ROOT, Figures, Report, finish, interleaved, main, paired_ratio, parser, passes_of, shown
+from common import ROOT, Figures, Report, commit_of, finish, interleaved, main, paired_ratio, parser, passes_of, shown
 from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 from plant_step import Floats, drive_plant
@@ -26,6 +30,7 @@ from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 NAME = "plant"
 AXIS = ROOT / "configs" / "axis_simulated.yaml"
 TARGET = 1.3
+SPEED_UP = 1.4  # of the closed loop over that of commit 095d31a
 SUBSTEPS_PER_TICK = 11
 REPEATS = 8  # runs of a variant in a pass, of which the least disturbed counts
 TICK_S = 0.0005
@@ -119,10 +124,45 @@ class ClosedLoop:
         return {"tick": tick_ns, "times": self._profile.period_s * 1e9 / tick_ns}
 
 
+class EarlierLoop:
+    """The closed loop of another checkout, in a process of its own: an earlier commit, in the same passes."""
+
+    _SERVE = (
+        "import sys; sys.path.insert(0, sys.argv[1] + '/tools/benchmarks')\n"
+        "from plant import ClosedLoop\n"
+        "loop = ClosedLoop(float(sys.argv[2])); loop.run(); print('ready', flush=True)\n"
+        "for _ in sys.stdin: print(loop.least()['tick'], flush=True)\n"
+    )
+
+    def __init__(self, checkout: Path, seconds: float) -> None:
+        place = str(checkout.resolve())
+        python = [sys.executable, "-c", self._SERVE, place, str(seconds)]
+        environment = os.environ | {"PYTHONPATH": place}
+        self._process = subprocess.Popen(
+            python, cwd=place, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        if self._answer() != "ready":
+            raise RuntimeError(f"{checkout}: its closed loop does not run")
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline().strip()
+
+    def least(self) -> Figures:
+        """As ClosedLoop.least."""
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return {"tick": float(self._answer())}
+
+
 def run() -> int:
     """The command."""
     options = parser(NAME, __doc__ or "", 40, 6)
     options.add_argument("--seconds", type=float, help="simulated time of a run (default 0.5; 0.25 with --sample)")
+    options.add_argument(
+        "--against", type=Path, metavar="CHECKOUT", help="a checkout of an earlier commit: the closed loop beside its"
+    )
     chosen = options.parse_args()
     seconds = chosen.seconds or (0.25 if chosen.sample else 0.5)
     report = Report(
@@ -139,12 +179,17 @@ def run() -> int:
         "C": lambda: plants.least("C"),
         "closed loop": ClosedLoop(16.0 * seconds).least,
     }
+    if chosen.against is not None:
+        variants["earlier"] = EarlierLoop(chosen.against, 16.0 * seconds).least
     with shown(NAME) as progress:
         found = interleaved(variants, passes_of(chosen), progress)
     ours, theirs, loop = found["numba"]["substep"], found["C"]["substep"], found["closed loop"]
     report.ratio("sub-step, numba over C", paired_ratio(ours, theirs), TARGET)
     report.figure("closed loop in process, times real time (median)", float(np.median(loop["times"])), "")
     report.figure("closed loop in process, times real time (best pass)", float(loop["times"].max()), "")
+    if chosen.against is not None:
+        earlier = f"closed loop in process, a tick over that of {commit_of(chosen.against)}"
+        report.ratio(earlier, paired_ratio(loop["tick"], found["earlier"]["tick"]), 1.0 / SPEED_UP)
     rows = [
         (name, f"{values.min():.0f}", f"{np.median(values):.0f}") for name, values in (("numba", ours), ("C", theirs))
     ]
