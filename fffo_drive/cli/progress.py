@@ -7,23 +7,22 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT
+from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT, Share
 
 QUIET_S = 10.0  # between two lines where there is no terminal
 
 
 @contextlib.contextmanager
-def progress_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float], None] | None]:
-    """Gives a function that takes the share done (0 to 1); None when `quiet`."""
+def progress_bar(text: str, quiet: bool = False) -> Iterator[Share | None]:
+    """Gives a function that takes the share done (0 to 1) and what is being done; None when `quiet`."""
     if os.environ.get(LINES_ENVIRONMENT):
         _line(text, 0.0)
-        yield partial(_line, text)
+        yield lambda share, step="": _line(_with_step(text, step), share)
         _line(text, 1.0)
         return
     if quiet:
@@ -41,8 +40,12 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float], N
     )
     with Progress(*columns, console=console, transient=False) as progress:
         task = progress.add_task(text, total=1.0)
-        yield lambda share: progress.update(task, completed=share)
-        progress.update(task, completed=1.0)
+        yield lambda share, step="": progress.update(task, completed=share, description=_with_step(text, step))
+        progress.update(task, completed=1.0, description=text)
+
+
+def _with_step(text: str, step: str) -> str:
+    return f"{text}: {step}" if step else text
 
 
 class _Spoken:
@@ -51,11 +54,11 @@ class _Spoken:
     def __init__(self, text: str) -> None:
         self.text, self.next_s = text, time.monotonic() + QUIET_S
 
-    def tell(self, share: float) -> None:
+    def tell(self, share: float, step: str = "", /) -> None:
         """Print the share done, unless a line was printed less than `QUIET_S` ago."""
         if time.monotonic() >= self.next_s:
             self.next_s = time.monotonic() + QUIET_S
-            print(f"{self.text}: {100.0 * share:.0f} % done", file=sys.stderr, flush=True)
+            print(f"{_with_step(self.text, step)}: {100.0 * share:.0f} % done", file=sys.stderr, flush=True)
 
 
 def _line(text: str, share: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from ..report.diagnose_figures import words_of
 from ..report.document import Cell, Heading, Line, Report, Row, Table, Verdict, number, of_linear_axis, provenance
 from ..report.page import refuse_other_report
 from ..workflows.diagnose import Diagnosed, diagnose, require_place, write_diagnosis
-from ..workflows.progress import Bar, no_bar
+from ..workflows.progress import Bar, Share, no_bar
 from ..workflows.recorded_facts import facts_for
 from .adding import facts_of
 from .history import history, models_of
@@ -137,7 +137,7 @@ def file_name(text: str) -> str:
 
 
 def _diagnosed(
-    paths: Sequence[Path], facts: DriveFacts | None, out: Path, label: str, progress: Callable[[float], None] | None
+    paths: Sequence[Path], facts: DriveFacts | None, out: Path, label: str, progress: Share | None
 ) -> Diagnosed:
     """Diagnosis of some runs, oldest first, written to `out`. The newest is held out, and every fourth before it."""
     if not paths:

@@ -18,7 +18,7 @@ from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
 from ..report.document import provenance, source_file
 from ..report.page import refuse_other_report
-from .progress import Bar, no_bar
+from .progress import Bar, Share, no_bar
 from .recorded_facts import facts_for
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Diagnosed(NamedTuple):
 
 def diagnose(
     fit: Sequence[Record], held_out: Sequence[Record], facts: DriveFacts, model: ModelFile | None = None,
-    settings: DiagnosisSettings | None = None, progress: Callable[[float], None] | None = None,
+    settings: DiagnosisSettings | None = None, progress: Share | None = None,
     prior: AgainstPopulation | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Find effects on the runs `fit`, prove them on `held_out`. `model`: the base (None: identified from the runs).
@@ -49,11 +49,7 @@ def diagnose(
     from ..diagnosis.diagnose import DiagnosisSettings  # compiles the library
     from ..diagnosis.diagnose import diagnose as search
 
-    def share_done(share: float, _text: str) -> None:
-        if progress is not None:
-            progress(share)
-
-    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), share_done, prior)
+    found = search(list(fit), list(held_out), facts, model, settings or DiagnosisSettings(), progress, prior)
     accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
     remarks = weight_remarks(facts, accepted, coverage_of(list(fit)).travel_rev)
     other = (prior.sentence(),) if prior is not None and prior.other_population else ()

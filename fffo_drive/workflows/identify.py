@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..identification.population import AgainstPopulation, with_population
 from ..identification.residuals import RunResidual, run_residuals
 from ..identification.results import model_file, report
 from ..model.parameters import ModelFile
+from .progress import Share
 
 FIT_SHARE = 0.85  # of the total time
 
@@ -50,7 +51,7 @@ class Identified:
 
 
 def identify(
-    records: Sequence[Record], facts: DriveFacts, name: str, progress: Callable[[float], None] | None = None,
+    records: Sequence[Record], facts: DriveFacts, name: str, progress: Share | None = None,
     prior: AgainstPopulation | None = None,
 ) -> Identified:  # fmt: skip
     """Fit a model to records of one axis. Raises DataError for logs that allow no fit.
@@ -58,7 +59,7 @@ def identify(
     `prior`: these records against the population of the drive's model, which supplies what they determine poorly;
     `result["parameters"]` is the fit of the records alone.
     """
-    part = None if progress is None else lambda share, _: progress(FIT_SHARE * share)
+    part = None if progress is None else lambda share, step: progress(FIT_SHARE * share, step)
     fit = fit_records(list(records), FitSettings(), facts, part)
     residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     coverage = coverage_of(records)

@@ -14,6 +14,7 @@ from fffo_drive.cli.diagnose import searched_names
 from fffo_drive.diagnosis import diagnose as engine
 from fffo_drive.diagnosis.curves import axes_of
 from fffo_drive.identification.runs import Remark, RunsLook
+from fffo_drive.workflows.progress import LINE_MARK, LINES_ENVIRONMENT
 
 FACTS = "torque_constant_nm_per_a: 0.148\nresolver_bits: 15\nsample_rate_hz: 1000\n"
 SHARE = "62 % of the squared residual that the other effects leave, p 0.002"
@@ -34,6 +35,8 @@ def command(tmp_path, monkeypatch):
         def diagnose(fit, held_out, facts, model, settings, progress, prior):
             assert prior is None
             given.append(settings)
+            if progress is not None:
+                progress(0.3, "search")
             return found
 
         monkeypatch.setattr(engine, "diagnose", diagnose)
@@ -72,6 +75,13 @@ def test_what_the_data_can_show_comes_first_and_a_declared_weight_is_compared(co
     assert "caution: load_gravity_nm declares 0.05 Nm, and the data show no weight" in said.err
     assert command(diagnosis(), "--json")[0] == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "effects_found"  # nothing else on stdout
+
+
+def test_progress_names_the_step_of_the_search(command, monkeypatch, capsys):
+    monkeypatch.setenv(LINES_ENVIRONMENT, "1")
+    command(diagnosis())
+    lines = [line[len(LINE_MARK) :] for line in capsys.readouterr().err.splitlines() if line.startswith(LINE_MARK)]
+    assert json.loads(lines[1]) == {"share": 0.3, "text": "diagnose: search"}
 
 
 def test_where_nothing_carries_over_no_model_is_left_and_the_exit_code_says_so(command, tmp_path, capsys):

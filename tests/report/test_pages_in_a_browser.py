@@ -201,6 +201,21 @@ def test_the_page_draws_every_series_band_mark_and_label(page, report):
             assert " ".join(text.split()) in " ".join(box.text_content().split())
 
 
+def test_the_values_of_bars_can_be_read_off(page, report):
+    page.set_viewport_size(SCREEN)
+    page.click("#unfold")
+    for figure in (one for one in report.figures if one.kind == "bars"):
+        plot = page.locator(f"#figure-{figure.name} .u-over")
+        plot.scroll_into_view_if_needed()
+        box = plot.bounding_box()
+        plot.hover(position={"x": box["width"] * 0.6 / len(figure.x.categories), "y": 20})  # the first category
+        said = page.locator(f"#figure-{figure.name} .legend").inner_text()
+        assert f"at {figure.x.categories[0]}" in said
+        for series in (one for one in figure.series if one.draw == "bars"):
+            assert f"{series.y[0]:.4g}"[:4] in said
+    page.click("#unfold")
+
+
 def test_zoomed_and_back_a_figure_is_as_before(page):
     def look():
         return page.evaluate(

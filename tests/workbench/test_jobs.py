@@ -45,10 +45,22 @@ def test_what_the_command_refuses_is_said():
 def test_progress_is_reported_in_lines_that_are_no_output(monkeypatch, capsys):
     monkeypatch.setenv(LINES_ENVIRONMENT, "1")
     with progress_bar("diagnose", quiet=True) as tell:
-        tell(0.25)
+        tell(0.25, "search")
     lines = capsys.readouterr().err.splitlines()
     assert all(line.startswith(LINE_MARK) for line in lines)
-    assert [json.loads(line[len(LINE_MARK) :])["share"] for line in lines] == [0.0, 0.25, 1.0]
+    said = [json.loads(line[len(LINE_MARK) :]) for line in lines]
+    assert [one["share"] for one in said] == [0.0, 0.25, 1.0]
+    assert [one["text"] for one in said] == ["diagnose", "diagnose: search", "diagnose"]
+
+
+def test_in_a_terminal_the_bar_has_the_step_beside_it(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    shown = []
+    monkeypatch.setattr(progress.Progress, "update", lambda *_, completed, description: shown.append(description))
+    with progress_bar("diagnose") as tell:
+        tell(0.25, "search")
+        tell(0.5)
+    assert shown == ["diagnose: search", "diagnose", "diagnose"]
 
 
 def test_without_a_terminal_the_share_done_is_a_line_now_and_then(monkeypatch, capsys):

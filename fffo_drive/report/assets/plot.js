@@ -110,11 +110,12 @@ const Plots = (() => {
     const { u, figure } = plot, left = u.cursor.left;
     const at = left >= 0 ? u.posToVal(left, "x") : NaN;
     plot.readings.forEach(({ s, node }) => {
-      const index = s.sorted && s.draw !== "bars" && Number.isFinite(at) ? Data.nearest(s, at) : -1;
+      const index = s.sorted && Number.isFinite(at) ? Data.nearest(s, at) : -1;
       node.textContent = index >= 0 && index < s.y.length ? readable(s.y[index]) : "";
     });
-    const pair = figure.kind === "xy" ? `${readable(at)}, ${readable(u.posToVal(u.cursor.top, "y"))}` : `${readable(at)} ${figure.x.unit}`;
-    plot.place.textContent = Number.isFinite(at) && !figure.x.named ? "at " + pair : "";
+    const name = figure.x.named && Number.isFinite(at) ? figure.x.texts[Math.min(figure.x.texts.length - 1, Math.max(0, Math.round(at)))] : "";
+    const place = figure.kind === "xy" ? `${readable(at)}, ${readable(u.posToVal(u.cursor.top, "y"))}` : `${readable(at)} ${figure.x.unit}`;
+    plot.place.textContent = Number.isFinite(at) ? "at " + (name || place) : "";
   }
 
   function legend(plot, host) {
