@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -28,6 +29,7 @@ from ..config.scenario import (
     Scenario,
     law_cautions,
     read_scenario,
+    reference_of,
     yardstick_of,
 )
 from ..documents import DocumentError
@@ -35,7 +37,7 @@ from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
 from ..report.document import SourceFile, provenance, source_file
-from ..report.evaluate import METRICS, EvaluationSource, evaluation_report
+from ..report.evaluate import METRICS, EvaluationSource, evaluation_report, missing_text
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError
@@ -109,11 +111,14 @@ def execute(options: argparse.Namespace) -> int:
         provenance(compared.files, facts),
         compared.published,
     )
-    paths = write_report(evaluation_report(source, summary, compared.evaluations), out)
+    report = evaluation_report(source, summary, compared.evaluations)
+    paths = write_report(report, out)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0
     print_summary(summary)
+    for caution in (text for text in report.verdict.cautions if text not in summary.failures):
+        print(f"caution: {caution}", file=sys.stderr)
     print(f"{paths.page}\n{paths.json}")
     return 0
 
@@ -143,7 +148,11 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
                 published, left = run_published(scenario, options.workers, progress)
             cautions = [*cautions, _caution_about_fits(left)]
         with bar(f"{file.name:8}") as progress:
-            evaluations = [*run_seeds(scenario, options.workers, progress), *published]
+            evaluations = run_seeds(scenario, options.workers, progress)
+        if published:
+            ticks = reference_of(scenario, file.first_seed).values.size * file.seeds
+            cautions = [*cautions, caution_about_envelope(evaluations, ticks)]
+        evaluations = [*evaluations, *published]
         where = "on the simulated drive in process"
     others = dict.fromkeys(one.candidate for one in published)
     return Compared(
@@ -163,10 +172,22 @@ def _caution_about_fits(left: Sequence[float]) -> str:
         f"{name} {100.0 * share:.0f} %" for name, share in zip(("2SEP", "LuGre", "GMS"), left, strict=True)
     )
     return (
-        "The published laws have the gains, inertia torque and preview of pi+fffo+, and run without the envelope. "
-        "Their friction models are fitted to one run on the same simulated axis and then given the scenario's model "
-        f"error. Friction that the fit leaves unexplained: {shares}. luenberger+ is a law after Ruderman (arXiv "
+        "The published laws have the gains, inertia torque and preview of pi+fffo+. Their friction models are fitted "
+        "to one run on the same simulated axis and then given the scenario's model error. "
+        f"Friction that the fit leaves unexplained: {shares}. luenberger+ is a law after Ruderman (arXiv "
         "2504.21316): its tangent stiffness, from the 2SEP fit, and the choice of its poles are this project's."
+    )
+
+
+def caution_about_envelope(evaluations: Sequence[Evaluation], ticks: int) -> str:
+    """Where the envelope, which the published laws do not have, made a difference. `ticks`: of each controller."""
+    counts: dict[str, int] = {}
+    for one in evaluations:
+        counts[one.candidate] = counts.get(one.candidate, 0) + (one.envelope_ticks or 0)
+    changed = ", ".join(f"of {name} in {count} of {ticks} ticks" for name, count in counts.items() if count)
+    return (
+        f"Of the laws compared, {', '.join(counts)} ran with the envelope (limits of current, slew rate and I2t), the "
+        f"published laws without it. It changed {f'the command {changed}' if changed else 'no command'}."
     )
 
 
@@ -203,8 +224,9 @@ def print_summary(summary: Summary) -> None:
                 comparison = summary.figures[f"{kind}.{key}"]
                 value, percent = comparison.absolute[controller].value, comparison.percent[controller].value
                 cells.append(f"{value:.3g} {percent:4.3g}%")
-            lag = summary.figures.get(f"{kind}.lag.mean_absolute_ms")
-            cells.append("-" if lag is None else f"{lag.absolute[controller].value:.2f}")
+            name = f"{kind}.lag.mean_absolute_ms"
+            missing = missing_text(summary, name, controller)
+            cells.append(missing or f"{summary.figure(name, controller):.2f}")
             table.add_row(controller, *cells)
         console.print(table)
     for failure in summary.failures:

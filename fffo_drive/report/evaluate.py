@@ -182,7 +182,7 @@ def _metrics_table(summary: Summary, kind: str) -> Table:
     columns = [Heading(label=title, unit=METRIC_UNITS[key]) for key, title in METRICS.items()]
     return Table(
         name=f"metrics-{kind}", title=f"Error against {KINDS[kind]}", corner="Control", columns=columns,
-        note="Mean over seeds with its 95 % interval; seeds differ in noise and, for a multi-sine, in the reference.",
+        note=_interval_note(summary, "Mean over seeds, which differ in noise and, for a multi-sine, in the reference"),
         rows=_rows(summary, [f"{kind}.{key}" for key in METRICS]),
     )  # fmt: skip
 
@@ -195,9 +195,37 @@ def _rows(summary: Summary, names: Sequence[str]) -> list[Row]:
 
 
 def _interval_cell(summary: Summary, name: str, controller: str) -> Cell:
-    if name not in summary.figures:
-        return Cell(text="–")
-    return _cell(summary.figures[name].absolute[controller])
+    missing = missing_text(summary, name, controller)
+    return Cell(text=missing) if missing else _cell(summary.figures[name].absolute[controller])
+
+
+def missing_text(summary: Summary, name: str, controller: str) -> str:
+    """Why there is no such figure of a controller, in a few words; empty: there is one.
+
+    A figure is compared only if every run of every controller has it.
+    """
+    kind, part, key = (*name.split("."), "")[:3]
+    absent = name not in summary.figures
+    if part in ("reversals", "lag") and key != "missed":
+        count, missed = (
+            summary.figures[f"{kind}.lag.{one}"].absolute[controller].value for one in ("reversals", "missed")
+        )
+        if count == 0.0:
+            return "no reversal"
+        if count == 1.0 and key.startswith("p95"):
+            return "1 reversal"
+        if absent and part == "lag" and missed == count:
+            return "all missed"
+    if not absent:
+        return ""
+    if kind == "effort":
+        return "run too short, or rate too low"
+    return "not reached" if part.startswith("band") and len(summary.seeds) == 1 else "not in every run"
+
+
+def _interval_note(summary: Summary, text: str) -> str:
+    """What the numbers of a table are."""
+    return f"{text}; one seed: no intervals." if len(summary.seeds) == 1 else f"{text}, below it its 95 % interval."
 
 
 def _bands_table(summary: Summary, yardstick: Yardstick, kind: str) -> Table:
@@ -209,7 +237,9 @@ def _bands_table(summary: Summary, yardstick: Yardstick, kind: str) -> Table:
     names = [f"{kind}.reversals.mae", *(f"{kind}.band{n}.mae" for n in range(len(edges) - 1))]
     return Table(
         name="bands", title=f"MAE by speed, against {KINDS[kind]}", corner="Control", columns=columns,
-        note="Near reversals: within 25 ms of a change of direction of the reference.", rows=_rows(summary, names),
+        note="Near reversals: within 25 ms of a change of direction of the reference. "
+        + _interval_note(summary, "Mean over seeds"),
+        rows=_rows(summary, names),
     )  # fmt: skip
 
 
@@ -225,7 +255,7 @@ def _lag_table(summary: Summary, kinds: Sequence[str]) -> Table:
     count = f"{next(iter(total.absolute.values())).value:.0f} reversals a run. " if total else ""
     note = (
         f"{count}Delay of the axis's reversal after that of the reference; missed: later than 0.1 s or half way to "
-        "the next reversal, or never."
+        f"the next reversal, or never. {_interval_note(summary, 'Mean over seeds')}"
     )
     return Table(
         name="lag", title="Lag at reversals", note=note, corner="Control", columns=columns, rows=_rows(summary, names)

@@ -66,6 +66,53 @@ def test_runs_of_one_controller_with_two_models_are_two(monkeypatch):
     assert recorded([("pi", "old"), ("pi", "old")]) == ["pi", "pi"]
 
 
+def cells_of(report, table):
+    """Texts of the cells of a table by controller."""
+    found = next(one for one in report.tables if one.name == table)
+    return {row.label: [cell.text for cell in row.cells] for row in found.rows}
+
+
+def test_a_run_without_a_reversal_says_so_in_the_cells_of_reversals():
+    report = report_of(*(run(name, range(300), 0.01) for name in ("pi", "pi+fffo")))  # until 0.15 s: one direction
+    lags, bands = cells_of(report, "lag"), cells_of(report, "bands")
+    assert lags["pi"][:2] == ["no reversal", "no reversal"]
+    assert bands["pi"][0] == "no reversal"
+    assert "no reversal" in render_page(report)
+
+
+def test_a_percentile_of_a_single_reversal_is_none():
+    report = report_of(*(run(name, range(700), 1e-3) for name in ("pi", "pi+fffo")))  # until 0.35 s: one at 0.25 s
+    mean, percentile, missed = cells_of(report, "lag")["pi"]
+    assert float(mean) < 1.0
+    assert percentile == "1 reversal"
+    assert float(missed) == 0.0
+
+
+def test_a_controller_that_missed_every_reversal_says_so_and_the_other_that_the_runs_cannot_be_compared():
+    stuck = run("pi", range(SAMPLES), 5.0)  # its velocity never changes sign
+    report = report_of(stuck, run("pi+fffo", range(SAMPLES), 0.0))
+    lags = cells_of(report, "lag")
+    assert lags["pi"][:2] == ["all missed"] * 2
+    assert lags["pi+fffo"][:2] == ["not in every run"] * 2
+
+
+def test_a_band_that_the_reference_never_reaches_says_so():
+    wide = YARDSTICK._replace(band_edges_rps=(0.0, 0.5, 50.0, 1000.0))
+    runs = [evaluation_of(name, 1, trace_of(rows_of(range(SAMPLES), 0.01), PERIOD_S), wide, ()) for name in "ab"]
+    source = EvaluationSource("title", "subtitle", wide, [], provenance([], {}))
+    report = evaluation_report(source, summarise(runs), runs)
+    assert cells_of(report, "bands")["a"][-1] == "not reached"
+
+
+def test_no_cell_is_empty_and_a_single_seed_is_said_where_intervals_would_stand():
+    report = report_of(*(run(name, range(300), 0.01) for name in ("pi", "pi+fffo")))
+    for table in report.tables:
+        if table.name != "table-2":
+            assert all(cell.text.strip("–") for row in table.rows for cell in row.cells), table.name
+    for name in ("lag", "bands", "metrics-measured"):
+        assert "one seed: no intervals" in next(one for one in report.tables if one.name == name).note
+
+
 def test_runs_that_are_whole_have_no_such_caution():
     report = report_of(run("pi", list(range(SAMPLES)), 0.02), run("pi+fffo", list(range(SAMPLES)), 0.01))
     assert not any("too late" in text for text in report.verdict.cautions)
