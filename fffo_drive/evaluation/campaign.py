@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ..arrays import Floats
 from ..control.controller import ControllerConfig
-from ..control.envelope import TRIP_NONE, TRIP_TEXTS
+from ..control.envelope import ENVELOPE_LIMITS, TRIP_NONE, TRIP_TEXTS
 from ..control.reference import Profile
 from ..drive.simulated.in_process import SimulatedDrive
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig
@@ -60,6 +60,7 @@ class Evaluation(NamedTuple):
     measures: Measures | None
     cutouts: tuple[Cutout, ...]
     skipped_share: float = 0.0  # samples of the profile whose ticks were skipped
+    envelope_ticks: int | None = None  # in which the envelope changed the command; None: not counted, or no envelope
 
     @property
     def fault_text(self) -> str | None:
@@ -88,7 +89,9 @@ def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
     if trip != TRIP_NONE:
         return Evaluation(candidate.name, case.seed, trip, None, ())
     trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
-    return evaluation_of(candidate.name, case.seed, trace, case.yardstick, case.cutouts_s)
+    found = evaluation_of(candidate.name, case.seed, trace, case.yardstick, case.cutouts_s)
+    changed = (rows["limits"] & ENVELOPE_LIMITS != 0) & (rows["profile_sample"] >= 0)
+    return found._replace(envelope_ticks=int(changed.sum()))
 
 
 def evaluation_of(

@@ -13,6 +13,7 @@ from trial_axes.random_axis import random_axis, wide_axis
 from trial_axes.robustness import HUNTING, STABLE, probe
 
 from fffo_drive.cli import main
+from fffo_drive.cli.evaluate import caution_about_envelope
 from fffo_drive.config.axis import build_profile, read_axis
 from fffo_drive.config.scenario import (
     FRICTION_KEYS,
@@ -168,6 +169,19 @@ def test_the_command_writes_a_page_and_numbers(tmp_path, capsys):
     assert true_mae["pi+fffo+"]["value"] < 0.3 * true_mae["pi"]["value"]
     assert (out / "report.html").stat().st_size > 50_000
     assert json.loads((out / "report.json").read_text())["results"] == results
+
+
+def test_ticks_in_which_the_envelope_changes_a_command_are_counted(tmp_path):
+    """A slew rate of a hundredth: the start of the motion is cut; the usual limits cut nothing in it."""
+    case = next(iter(cases_of(read_scenario(written(tmp_path)))))
+    assert [run.envelope_ticks for run in run_case(case)] == [0, 0]
+    slow = case.session.envelope._replace(slew_a_per_s=0.01 * case.session.envelope.slew_a_per_s)
+    cut = run_case(case._replace(session=case.session._replace(envelope=slow)))
+    assert all(run.envelope_ticks is not None and run.envelope_ticks > 0 for run in cut)
+    said = caution_about_envelope([cut[0]._replace(candidate="pi", envelope_ticks=3)], 1000)
+    assert "pi ran with the envelope" in said
+    assert said.endswith("It changed the command of pi in 3 of 1000 ticks.")
+    assert caution_about_envelope([cut[0]._replace(envelope_ticks=0)], 1000).endswith("It changed no command.")
 
 
 @pytest.mark.slow
