@@ -37,7 +37,7 @@ from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
 from ..report.document import SourceFile, provenance, source_file
-from ..report.evaluate import METRICS, EvaluationSource, evaluation_report
+from ..report.evaluate import METRICS, EvaluationSource, evaluation_report, missing_text
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError
@@ -224,8 +224,9 @@ def print_summary(summary: Summary) -> None:
                 comparison = summary.figures[f"{kind}.{key}"]
                 value, percent = comparison.absolute[controller].value, comparison.percent[controller].value
                 cells.append(f"{value:.3g} {percent:4.3g}%")
-            lag = summary.figures.get(f"{kind}.lag.mean_absolute_ms")
-            cells.append("-" if lag is None else f"{lag.absolute[controller].value:.2f}")
+            name = f"{kind}.lag.mean_absolute_ms"
+            missing = missing_text(summary, name, controller)
+            cells.append(missing or f"{summary.figure(name, controller):.2f}")
             table.add_row(controller, *cells)
         console.print(table)
     for failure in summary.failures:
