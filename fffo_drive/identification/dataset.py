@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from ..arrays import Floats, Mask
+from ..drive.cia402 import STATUS_INTERNAL_LIMIT
 from ..recording.column_map import TIME, identity_map
 from ..recording.errors import RecordingError
 from ..recording.load import read_log
@@ -49,8 +51,10 @@ class DataError(RecordingError):
 
 TAKEN = (  # columns of a log that a fit may use
     "time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps",
-    "reference_position_rev",
+    "reference_position_rev", "statusword",
 )  # fmt: skip
+LIMITED = "limited"  # a column in place of the statusword: 1 where the drive was at its limit
+LIMIT_MARGIN_S = 0.01  # around a limit: the command acts late, and the current loop settles
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ class Record:
     begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
     good: Mask | None = None  # (n,) False where a sample was filled in; None: all were measured
     reference_position_rev: Floats | None = None  # of a reference encoder on the same shaft
+    limited: Mask | None = None  # (n,) True where the drive was at its internal limit; None: nowhere, or not known
 
     @property
     def samples(self) -> int:
@@ -118,9 +123,7 @@ def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
 
 def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:
     """As `load_record`, of a log that was read. `digest`: of its file. Raises DataError."""
-    columns: dict[str, Floats] = {
-        name: np.ascontiguousarray(log.columns[name], dtype=np.float64) for name in TAKEN if name in log.columns
-    }
+    columns = _told_limits({name: log.columns[name] for name in TAKEN if name in log.columns})
     warnings = list(log.warnings) if isinstance(log, LogTable) else ([log.reason] if log.reason else [])
     fresh = None
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
@@ -133,9 +136,51 @@ def record_of_columns(
     name: str, columns: Mapping[str, Floats], facts: DriveFacts, warnings: Sequence[str] = ()
 ) -> Record:
     """As `load_record`, of columns (n,) by our names, `time_s` among them. Raises DataError."""
-    own = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in columns.items()}
+    own = _told_limits(columns)
     digest = hashlib.sha256(b"".join(own[key].tobytes() for key in sorted(own))).hexdigest()
     return _record(Path(name), own, None, facts, list(warnings), digest)
+
+
+def _told_limits(columns: Mapping[str, Any]) -> dict[str, Floats]:
+    """The columns as numbers; bit 11 of the statusword as a column that may be interpolated (CiA 402)."""
+    own = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in columns.items()}
+    statusword = own.pop("statusword", None)
+    if statusword is not None:
+        limited = np.nan_to_num(statusword).astype(np.int64) & STATUS_INTERNAL_LIMIT != 0
+        if limited.any():
+            own[LIMITED] = limited.astype(np.float64)
+    return own
+
+
+def where_command_acts(record: Record) -> Record:
+    """The record without the samples at the drive's internal limit of current or voltage, gaps in their place.
+
+    There the current is not the command: a fit would read the missing torque as friction and inertia. Raises DataError
+    if too little is left.
+    """
+    if record.limited is None:
+        return record
+    reach = max(1, round(LIMIT_MARGIN_S / record.period_s))
+    kept = np.flatnonzero(~ndimage.binary_dilation(record.limited, iterations=reach))
+    share = 100.0 * (1.0 - kept.size / record.samples)
+    text = f"{record.path}: the drive was at its limit of current or voltage (statusword bit 11)"
+    far = np.flatnonzero(np.diff(kept) > 1) + 1
+    breaks = sorted({*far.tolist(), *np.searchsorted(kept, record.breaks).tolist()} - {0, kept.size})
+    given = {
+        name: getattr(record, name)[kept]
+        for name in (
+            "current_a", "position_rev", "velocity_rps", "reference_rps", "measured_current_a", "good",
+            "reference_position_rev",
+        )
+        if getattr(record, name) is not None
+    }  # fmt: skip
+    warning = (
+        f"{text}: {share:.3g} % of the samples are left out, as the command did not act: use less amplitude"
+    )
+    left = replace(record, breaks=tuple(breaks), limited=None, warnings=(*record.warnings, warning), **given)
+    if not left.segments():
+        raise DataError(f"{text} so often that no stretch of {SHORTEST_STRETCH_S:g} s is left: reduce the amplitude")
+    return left
 
 
 def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
@@ -178,6 +223,7 @@ def _slowed(record: Record, period_s: float) -> Record:
         "current_command_a": record.current_a, "position_rev": record.position_rev,
         "velocity_rps": record.velocity_rps, "reference_rps": record.reference_rps,
         "current_a": record.measured_current_a, "reference_position_rev": record.reference_position_rev,
+        LIMITED: None if record.limited is None else record.limited.astype(np.float64),
     }  # fmt: skip
     given = {name: values for name, values in columns.items() if values is not None}
     parts = [
@@ -191,7 +237,7 @@ def _slowed(record: Record, period_s: float) -> Record:
         record, period_s=period_s, current_a=joined["current_command_a"], position_rev=joined["position_rev"],
         velocity_rps=joined.get("velocity_rps"), reference_rps=joined.get("reference_rps"),
         measured_current_a=joined.get("current_a"), reference_position_rev=joined.get("reference_position_rev"),
-        good=None if good.all() else good,
+        good=None if good.all() else good, limited=_limits(joined),
         breaks=tuple(itertools.accumulate(sure.size for _, sure in parts[:-1])),
         warnings=(*record.warnings, f"{record.path}: brought from {rates}, the rate of the slowest log"),
     )  # fmt: skip
@@ -289,11 +335,17 @@ def _record(
         begin_s=float(time_s[0]),
         good=even.good,
         reference_position_rev=columns.get("reference_position_rev"),
+        limited=_limits(columns),
     )
     problems, found = check_record(record)
     if problems:
         raise DataError("\n".join(problems))
     return Record(**{**vars(record), "warnings": (*warnings, *found)})
+
+
+def _limits(columns: Mapping[str, Floats]) -> Mask | None:
+    """Samples that depend on a limited one; None: no sample does."""
+    return columns[LIMITED] > 0.0 if LIMITED in columns else None
 
 
 def _resolution(position_rev: Floats) -> float:

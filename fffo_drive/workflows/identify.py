@@ -8,7 +8,7 @@ from typing import Any
 
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
-from ..identification.dataset import Record
+from ..identification.dataset import Record, where_command_acts
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit, FitSettings, fit_records
 from ..identification.population import AgainstPopulation, with_population
@@ -25,6 +25,7 @@ class Identified:
     """Result of `identify`."""
 
     model: ModelFile
+    records: list[Record]  # that were fitted: without what the drive's own limit spoilt
     fit: Fit
     residuals: list[RunResidual]
     coverage: Coverage
@@ -60,7 +61,8 @@ def identify(
     `result["parameters"]` is the fit of the records alone.
     """
     part = None if progress is None else lambda share, step: progress(FIT_SHARE * share, step)
-    fit = fit_records(list(records), FitSettings(), facts, part)
+    records = [where_command_acts(record) for record in records]
+    fit = fit_records(records, FitSettings(), facts, part)
     residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     coverage = coverage_of(records)
     cyclic = cyclic_error(records)
@@ -73,4 +75,4 @@ def identify(
         model = with_population(model, fit, prior)
         if prior.other_population:
             result["warnings"].append(prior.sentence())
-    return Identified(model, fit, residuals, coverage, cyclic, result)
+    return Identified(model, records, fit, residuals, coverage, cyclic, result)

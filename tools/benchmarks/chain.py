@@ -41,10 +41,11 @@ from fffo_drive.control.position_hold import NO_HOLD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from fffo_drive.control.stability import linear_axis
 from fffo_drive.documents import DocumentError
+from fffo_drive.drive.cia402 import STATUS_INTERNAL_LIMIT
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
-from fffo_drive.identification.dataset import Record
+from fffo_drive.identification.dataset import Record, where_command_acts
 from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
@@ -135,11 +136,14 @@ def excite(case: Case, profile: Profile, controller: ControllerConfig, constant_
     rows = RingReader(session.ring).read().rows
     rows = rows[rows["profile_sample"] >= 0]
     columns = {name: np.ascontiguousarray(rows[name]) for name in ("position_rev", "velocity_rps")}
-    return Record(
+    limited = rows["statusword"] & STATUS_INTERNAL_LIMIT != 0
+    record = Record(
         name=profile.name, path=Path(profile.name), period_s=profile.period_s,
         torque_constant_nm_per_a=constant_nm_per_a, current_a=np.ascontiguousarray(rows["current_command_a"]),
-        reference_rps=None, lsb_rev=2.0**-case.plant.resolver.bits, breaks=(), digest="", **columns,
+        reference_rps=None, lsb_rev=2.0**-case.plant.resolver.bits, breaks=(), digest="",
+        limited=limited if limited.any() else None, **columns,
     )  # fmt: skip
+    return where_command_acts(record)
 
 
 def excitations(case: Case, controller: ControllerConfig, constant_nm_per_a: float) -> list[Record]:
