@@ -21,17 +21,13 @@ from ..config.checks import bus_sum
 from ..control.stability import LinearAxis, condition_14_nm_per_rev, loop_margins
 from ..model.friction import REST, FrictionConfig, friction_step, steady_friction_nm
 from ..report.palette import FURNITURE, SERIES
+from ..report.static import look
 from ..workflows.plan import Plan, make_plan
 from .table_two import details, obstacles, read_data
 
 ORANGE, GREEN, BLUE = (SERIES[name].light for name in ("orange", "green", "blue"))
-TEXT, QUIET, GRID, RAISED = (FURNITURE[name].light for name in ("text", "quiet", "grid", "raised"))
+TEXT, QUIET, RAISED = (FURNITURE[name].light for name in ("text", "quiet", "raised"))
 BAD = FURNITURE["bad"].light
-STYLE: Any = {
-    "font.size": 10, "axes.edgecolor": QUIET, "axes.labelcolor": TEXT, "axes.grid": True, "grid.color": GRID,
-    "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "fffo_drive", "svg.fonttype": "path",
-    "text.color": TEXT, "xtick.color": QUIET, "ytick.color": QUIET, "legend.frameon": False, "lines.linewidth": 1.8,
-}  # fmt: skip
 STEP_S = 1e-4
 
 
@@ -45,7 +41,7 @@ def draw_all(directory: Path, configs: Path, results: Path) -> None:
         "table_two_details": lambda: details(table_two), "table_two_obstacles": lambda: obstacles(table_two),
     }  # fmt: skip
     directory.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
+    with look(), plt.rc_context({"font.size": 10, "legend.frameon": False, "lines.linewidth": 1.8}):
         for name, draw in drawn.items():
             figure = draw()
             figure.savefig(directory / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.08)

@@ -170,8 +170,8 @@ def _table_2(summary: Summary) -> Table:
             cells.append(number(published[key]) if published else Cell(text="–"))
         rows.append(Row(label=controller, cells=cells))
     note = (
-        f"Percentage of {base}, over {len(summary.seeds)} seeds; below each the 95 % interval of the ratio, from "
-        "resampled seeds. MAX is one sample of a run: its order may change from seed to seed."
+        _interval_note(summary, f"Percentage of {base} over seeds")
+        + " MAX is one sample of a run: its order may change from seed to seed."
     )
     return Table(
         name="table-2", title="Beside the paper's Table II", note=note, corner="Control", columns=columns, rows=rows
@@ -252,7 +252,8 @@ def _lag_table(summary: Summary, kinds: Sequence[str]) -> Table:
     columns = [Heading(label=a, unit=b, group=KINDS[kind]) for kind in kinds for a, b in parts.values()]
     names = [f"{kind}.lag.{part}" for kind in kinds for part in parts]
     total = summary.figures.get("measured.lag.reversals")
-    count = f"{next(iter(total.absolute.values())).value:.0f} reversals a run. " if total else ""
+    mean = next(iter(total.absolute.values())).value if total else math.nan
+    count = f"{mean:.0f} reversal{'' if mean == 1.0 else 's'} a run. " if total else ""
     note = (
         f"{count}Delay of the axis's reversal after that of the reference; missed: later than 0.1 s or half way to "
         f"the next reversal, or never. {_interval_note(summary, 'Mean over seeds')}"
