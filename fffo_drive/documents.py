@@ -13,7 +13,6 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -399,7 +398,7 @@ def as_json(value: Any, not_finite: Callable[[float], float | str | None] = fini
     """A value in terms of JSON: arrays as lists, nan and infinities by `not_finite`, what JSON cannot say as text."""
     if isinstance(value, Mapping):
         return {str(key): as_json(item, not_finite) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # of numpy, which the command line of the daemon does not load
         return as_json(value.tolist(), not_finite)
     if isinstance(value, list | tuple | set | frozenset):
         return [as_json(item, not_finite) for item in value]
