@@ -16,11 +16,13 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
 from . import bpf
 from .bpf import CanFilter
 from .frame import FRAME_SIZE
+
+T = TypeVar("T")
 
 __all__ = ["CanFilter", "Link", "LinkError", "StampedFrame", "free_loopback_port", "open_link"]
 
@@ -110,33 +112,17 @@ class Link:
 
         Raises LinkError when the interface went away; the link may be used again once it is back.
         """
-        try:
-            while True:
-                try:
-                    return self._rx.recv(FRAME_SIZE)
-                except BlockingIOError:
-                    if not self._readable(timeout_s):
-                        return None
-                    timeout_s = 0.0
-        except OSError as error:
-            raise LinkError(f"{self.spec}: cannot receive: {_advice_on_use(error, self.spec)}") from error
+        return self._arrived(lambda: self._rx.recv(FRAME_SIZE), timeout_s)
 
     def receive_stamped(self, timeout_s: float) -> StampedFrame | None:
         """As `receive`, with the kernel's CLOCK_REALTIME of the arrival and whether the frame is our own."""
         if not self._stamped:
             self._rx.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             self._stamped = True
-        try:
-            while True:
-                try:
-                    raw, control, flags, sender = self._rx.recvmsg(FRAME_SIZE, _STAMP_SPACE)
-                    break
-                except BlockingIOError:
-                    if not self._readable(timeout_s):
-                        return None
-                    timeout_s = 0.0
-        except OSError as error:
-            raise LinkError(f"{self.spec}: cannot receive: {_advice_on_use(error, self.spec)}") from error
+        arrived = self._arrived(lambda: self._rx.recvmsg(FRAME_SIZE, _STAMP_SPACE), timeout_s)
+        if arrived is None:
+            return None
+        raw, control, flags, sender = arrived
         stamp_s = time.time()  # for frames that were in the queue before stamps were asked for
         for level, kind, data in control:
             if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(data) == _TIMESPEC.size:
@@ -144,6 +130,19 @@ class Link:
                 stamp_s = seconds + nanoseconds * 1e-9
         own = sender[1] == self._own_port if self.is_loopback else bool(flags & _MSG_CONFIRM)
         return StampedFrame(raw, stamp_s, own)
+
+    def _arrived(self, take: Callable[[], T], timeout_s: float) -> T | None:
+        """What `take` reads from the socket, or None when nothing came within `timeout_s`. Raises LinkError."""
+        try:
+            while True:
+                try:
+                    return take()
+                except BlockingIOError:
+                    if not self._readable(timeout_s):
+                        return None
+                    timeout_s = 0.0
+        except OSError as error:
+            raise LinkError(f"{self.spec}: cannot receive: {_advice_on_use(error, self.spec)}") from error
 
     def _readable(self, timeout_s: float) -> bool:
         if timeout_s <= 0.0:

@@ -1,4 +1,4 @@
-"""`--prior` of the commands that fit: the population of the drive's model, from a store or a file."""
+"""`--prior` of the commands that fit: the population of the drive's type, from a store or a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     """--prior and --prior-model."""
     parser.add_argument(
         "--prior", metavar="STORE|FILE",
-        help="use other drives of this model as prior: a store of `fffo-drive fleet`, or a population file",
+        help="use other drives of this type as prior: a store of `fffo-drive fleet`, or a population file",
     )  # fmt: skip
     parser.add_argument("--prior-model", metavar="NAME", help="type of drive in STORE (default: as in the runs)")
 

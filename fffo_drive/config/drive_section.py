@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -299,48 +300,23 @@ class CanopenDriveSection(StrictRecord):
         self, torque_constant_nm_per_a: float, period_ns: int, bus: str | None = None
     ) -> CanopenDriveConfig:
         """Configuration of the drive's bring-up and exchange. Raises MappingError."""
-        return CanopenDriveConfig(
-            bus=bus or self.bus,
-            node_id=self.node_id,
-            period_ns=period_ns,
-            counts_per_rev=self.counts,
-            velocity_units_per_rps=self.velocity_units_per_rps,
-            torque_constant_nm_per_a=torque_constant_nm_per_a,
-            rated_torque_nm=self.rated_torque_nm,
-            rated_current_a=self.rated_current_a,
-            rated_torque_unit_nm=RATED_TORQUE_UNITS[self.rated_torque_unit],
-            rated_current_unit_a=RATED_CURRENT_UNITS[self.rated_current_unit],
-            inverted=self.inverted,
-            bitrate_hz=self.bitrate_hz,
-            master_id=self.master_id,
-            status_every=self.status_every,
-            status_event=self.status_event,
-            heartbeat_ms=self.heartbeat_ms,
-            heartbeat_timeout_ms=self.heartbeat_timeout_ms,
-            drive_heartbeat_ms=self.drive_heartbeat_ms,
-            command_timeout_ms=self.command_timeout_ms,
-            abort_connection_option=self.abort_connection_option,
-            quick_stop_option=self.quick_stop_option,
-            fault_reaction_option=self.fault_reaction_option,
-            max_torque_permille=self.max_torque_permille,
-            sdo=tuple(entry.write() for entry in self.sdo),
-            warning_codes=tuple(self.warning_codes),
-            unserved_status_bits=tuple(self.unserved_status_bits),
-            listen_s=self.listen_s,
-            answer_timeout_s=self.answer_timeout_s,
-            attempts=self.attempts,
-            start_timeout_s=self.start_timeout_s,
-            eds=self.eds,
-            mode=self.mode,
-            modes_listed=self.modes_told,
-            mode_display=self.mode_display,
-            device_profile=self.device_profile,
-            target=MappedObject(self.target.object, self.target.sub, self.target.bits),
-            target_units_per_a=self.target.units_per_a,
-            torque=MappedObject(self.torque_feedback.object, self.torque_feedback.sub, self.torque_feedback.bits),
-            torque_units_per_a=self.torque_feedback.units_per_a,
-            torque_slope=self.torque_slope,
-            slots=PdoSlots(**self.pdo.model_dump()),
-            silence_detection=self.silence_detection,
-            silence_reaction=self.silence_reaction,
-        )
+        names = {field.name for field in dataclasses.fields(CanopenDriveConfig)}
+        values: dict[str, Any] = {name: value for name, value in self if name in names}
+        values |= {
+            "bus": bus or self.bus,
+            "period_ns": period_ns,
+            "counts_per_rev": self.counts,
+            "torque_constant_nm_per_a": torque_constant_nm_per_a,
+            "rated_torque_unit_nm": RATED_TORQUE_UNITS[self.rated_torque_unit],
+            "rated_current_unit_a": RATED_CURRENT_UNITS[self.rated_current_unit],
+            "sdo": tuple(entry.write() for entry in self.sdo),
+            "warning_codes": tuple(self.warning_codes),
+            "unserved_status_bits": tuple(self.unserved_status_bits),
+            "modes_listed": self.modes_told,
+            "target": MappedObject(self.target.object, self.target.sub, self.target.bits),
+            "target_units_per_a": self.target.units_per_a,
+            "torque": MappedObject(self.torque_feedback.object, self.torque_feedback.sub, self.torque_feedback.bits),
+            "torque_units_per_a": self.torque_feedback.units_per_a,
+            "slots": PdoSlots(**self.pdo.model_dump()),
+        }
+        return CanopenDriveConfig(**values)
