@@ -78,9 +78,12 @@ def _ordinate(figure: Figure, shown: Iterable[Series]) -> AxisView:
         if axis.log:
             low, high = _outwards(low, -1), _outwards(high, 1)
         else:
-            grounded = figure.kind in ("histogram", "bars")
+            grounded = figure.kind in ("histogram", "bars")  # they stand on zero, or hang from it
+            if grounded:
+                low, high = min(0.0, low), max(0.0, high)
             pad = PAD * (high - low or abs(high) or 1.0)
-            low, high = min(0.0, low) if grounded else low - pad, high + pad
+            below, above = not (grounded and low == 0.0), not (grounded and high == 0.0 > low)
+            low, high = low - pad * below, high + pad * above
     else:
         low, high = axis.limits
     return _view(axis, low, high, figure.height_px - BELOW_PX, UP_PX)

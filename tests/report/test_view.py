@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.report.figures import Figure, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
-from fffo_drive.report.style import WIDTHS_PX
+from fffo_drive.report.style import RADIUS_PX, WIDTHS_PX
 from fffo_drive.report.view import ACROSS_PX, UP_PX, tick_text, views
 
 TIME, SPEED = PlotAxis("time", "s"), PlotAxis("velocity", "rps")
@@ -68,6 +68,23 @@ def test_intervals_and_level_lines_are_in_view():
     assert view.y.low < -4.0
     assert view.y.high > 20.0
     assert view.x.low < 0.0 < 1.0 < view.x.high
+
+
+def test_markers_above_bars_have_room_at_the_top():
+    marks = Series("a", np.arange(3.0), np.array([95.0, 100.0, 146.0]), "blue", "points")
+    y = view_of(course(0.0, 1.0, kind="bars", series=(marks,), x=PlotAxis("law", "-", categories=("a", "b", "c")))).y
+    assert y.low == 0.0
+    assert (1.0 - y.share(146.0)) * 200.0 > RADIUS_PX
+
+
+def test_bars_below_zero_have_room_and_zero_in_view():
+    bars = tuple(grouped_bars({"a": Group([-3.0, 4.0], "blue")}, {}, ""))
+    y = view_of(course(0.0, 1.0, kind="bars", series=bars, x=PlotAxis("law", "-", categories=("one", "two")))).y
+    assert y.low < -3.0
+    assert y.high > 4.0
+    only = tuple(grouped_bars({"a": Group([-3.0, -4.0], "blue")}, {}, ""))
+    y = view_of(course(0.0, 1.0, kind="bars", series=only, x=PlotAxis("law", "-", categories=("one", "two")))).y
+    assert y.low < -4.0 < 0.0 <= y.high
 
 
 def test_bars_stand_on_zero_and_keep_their_names():

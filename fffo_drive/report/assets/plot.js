@@ -24,9 +24,10 @@ const Plots = (() => {
     let [min, max] = found || (log ? [0.1, 1] : [0, 1]);
     for (const level of figure.levels) if (!level.upright) { min = Math.min(min, level.value); max = Math.max(max, level.value); }
     if (log) return [10 ** Math.floor(Math.log10(min)), 10 ** Math.ceil(Math.log10(max) - 1e-6)];
-    const grounded = figure.kind === "histogram" || figure.kind === "bars";
+    const grounded = figure.kind === "histogram" || figure.kind === "bars"; // they stand on zero, or hang from it
+    if (grounded) [min, max] = [Math.min(0, min), Math.max(0, max)];
     const pad = 0.06 * (max - min || Math.abs(max) || 1);
-    return grounded ? [Math.min(0, min), max + pad] : [min - pad, max + pad];
+    return [grounded && min === 0 ? 0 : min - pad, grounded && max === 0 && min < 0 ? 0 : max + pad];
   }
 
   const FOLDED_WIDTH = 600; // until it is unfolded and has one
