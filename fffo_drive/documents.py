@@ -30,6 +30,7 @@ LONGEST_SHOWN = 80  # characters of a value in a message
 DEEPEST = 32  # of mappings and lists in each other
 
 _INTEGER = re.compile(r"^[-+]?\d[\d_]*$|^[-+]?0x[\da-fA-F_]+$")
+_DOTTED = re.compile(r"[a-z_]\w*(\.[a-z_]\w*)*")  # a key in its sections
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")  # a number with a decimal comma
 _FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
 
@@ -137,7 +138,9 @@ def parse(text: str, name: str) -> tuple[Any, dict[Location, int]]:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
         kind = "" if isinstance(error, _NotAllowedError) else "not valid YAML: "
-        raise DocumentError(f"{name}{line}: {kind}{error.problem or error.context}") from None
+        text = error.problem or error.context or ""
+        remedy = ": indent with blanks, YAML takes no tabs" if "'\\t'" in text else ""
+        raise DocumentError(f"{name}{line}: {kind}{text}{remedy}") from None
     except yaml.reader.ReaderError as error:
         line = f":{text.count(chr(10), 0, error.position) + 1}"
         raise DocumentError(f"{name}{line}: not valid YAML: the character {text[error.position]!a}") from None
@@ -156,12 +159,30 @@ def read_text(path: Path, largest_bytes: int = LARGEST_BYTES) -> str:
         with path.open("rb") as file:
             content = file.read(largest_bytes + 1)
         if len(content) > largest_bytes:
-            raise DocumentError(f"{path}: larger than {largest_bytes} bytes, which no file of this kind is")
+            most = f"larger than {largest_bytes} bytes, which no file of this kind is"
+            raise DocumentError(f"{path}: {most}: a text file is needed here")
         return content.decode("utf-8")
+    except FileNotFoundError:
+        raise DocumentError(no_such_file(path)) from None
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: not UTF-8 text (byte {error.start})") from None
+
+
+def no_such_file(path: Path) -> str:
+    """The message for a file that is not there, with one beside it that has nearly its name."""
+    beside = [found.stem for found in path.parent.glob(f"*{path.suffix}") if found.is_file()]
+    near = difflib.get_close_matches(path.stem, beside, 1)
+    hint = f": did you mean '{near[0]}{path.suffix}'?" if near else ""
+    return f"{path}: cannot be read: No such file or directory{hint}"
+
+
+def require_named(path: str | Path, key: str, named: Path) -> Path:
+    """The file that a key of the file `path` names. Raises DocumentError with FILE:LINE: KEY where it is not there."""
+    if not named.exists():
+        refuse(path, [(key, no_such_file(named))])
+    return named
 
 
 def load(path: str | Path, record: type[M]) -> M:
@@ -232,13 +253,18 @@ def _sentence(
 ) -> tuple[int, str]:
     """(line, text) for one error of pydantic's."""
     location = _keys_only(error, data)
-    line = _line_of(lines, location)
     message = what_is_wrong(error, record, data)
+    key, said = key_of(error, data), message.partition(": ")
+    if error["type"] == "value_error" and _DOTTED.fullmatch(said[0]):  # a check of several keys names the one at fault
+        inner = (*location, *_location(said[0]))
+        if inner[: len(location) + 1] in lines:
+            location, key, message = inner, ".".join(map(str, inner)), said[2]
+    line = _line_of(lines, location)
     if error["type"] == "extra_forbidden":
         known = _known_keys(data, location, record)
         close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.55)
         message += f"; did you mean '{close[0]}'?" if close else f"; known here: {', '.join(known)}"
-    return line, f"{name}:{line}: {key_of(error, data)}: {message}"
+    return line, f"{name}:{line}: {key}: {message}"
 
 
 NEEDED = {  # by the type of pydantic's error
@@ -258,8 +284,8 @@ NEEDED = {  # by the type of pydantic's error
     "dict_type": "a mapping of keys to values is needed",
     "model_type": "a mapping of keys to values is needed",
     "model_attributes_type": "a mapping of keys to values is needed",
-    "union_tag_not_found": "{discriminator} is missing",
-    "union_tag_invalid": "{discriminator} '{tag}' is none of {expected_tags}",
+    "union_tag_not_found": "missing",
+    "union_tag_invalid": "'{tag}' is none of {expected_tags}",
     "value_error": "{error}",
 }
 WHOLE = ("int_type", "int_from_float")
@@ -348,6 +374,8 @@ def _keys_only(error: ErrorDetails, data: Any) -> Location:
             path.append(part)
         elif position == len(error["loc"]) and error["type"] == "missing":
             path.append(part)
+    if error["type"].startswith("union_tag_"):
+        path.append(error["ctx"]["discriminator"].strip("'"))
     return tuple(path)
 
 

@@ -20,7 +20,9 @@ from rich.table import Table
 
 from ..can.link import free_loopback_port
 from ..config.axis import recorder_settings
+from ..config.drive_section import CanopenDriveSection
 from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
+from ..documents import refuse
 from ..drive.port import Drive, DriveIdentity
 from ..evaluation.metrics import (
     METRIC_UNITS,
@@ -67,6 +69,8 @@ def execute(options: argparse.Namespace) -> int:
     plan = make_plan(options.config, tuple(CONTROLLERS.values()))
     if options.quick:
         plan = _shortened(plan)
+    if not isinstance(plan.axis.drive, CanopenDriveSection):
+        refuse(options.config, [("drive.kind", "bench needs an axis on a bus, such as the example axis_bench.yaml")])
     bus = options.bus or f"loopback:{free_loopback_port()}"
     out = Path(options.out) / timestamp_name("bench", time.time_ns())
     out.mkdir(parents=True, exist_ok=True)

@@ -96,7 +96,7 @@ def execute(options: argparse.Namespace) -> int:
         compared = _compared_recordings(options.runs, scenario)
     else:
         if scenario is None:
-            raise DocumentError("evaluate: give a SCENARIO or --runs FILE...")
+            raise DocumentError("give a SCENARIO or --runs FILE...")
         compared = _compared_scenario(scenario, options, out)
     try:
         summary = summarise(compared.evaluations, compared.percent_of)

@@ -1,6 +1,6 @@
 """Run one profile on a drive, in process or on a bus, and record it.
 
-CONFIG is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, control law, limits,
+AXIS is an axis file (configs/axis_simulated.yaml, configs/axis_canopen.yaml): drive, model, control law, limits,
 profile. Everything is checked before anything moves. The run is recorded in one MCAP file.
 With --served, the daemon that serves this axis runs the profile and records it; this program opens no bus.
 """
@@ -36,7 +36,7 @@ from .progress import progress_bar
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
-    parser.add_argument("config", metavar="CONFIG", help="axis file (YAML)")
+    parser.add_argument("config", metavar="AXIS", help="axis file (YAML)")
     parser.add_argument(
         "--toggle",
         choices=list(TOGGLES),

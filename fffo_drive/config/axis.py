@@ -27,7 +27,7 @@ from ..control.reference import (
 )
 from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
 from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
-from ..documents import StrictRecord, check, did_you_mean, parse, read_text, refuse
+from ..documents import StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -104,10 +104,12 @@ class AxisFile(StrictRecord):
     def _consistent(self) -> AxisFile:
         unknown = sorted(set(self.envelope.reactions) - set(TRIPS))
         if unknown:
-            raise ValueError(f"envelope.reactions: unknown trip '{unknown[0]}'; known: {', '.join(TRIPS)}")
+            raise ValueError(
+                f"envelope.reactions.{unknown[0]}: no trip has this name: {did_you_mean(unknown[0], TRIPS)}"
+            )
         largest_rps = self.daemon.set_points.largest_rps
         if largest_rps is not None and largest_rps > self.envelope.speed_limit_rps:
-            raise ValueError("daemon.set_points.largest_rps must not exceed envelope.speed_limit_rps")
+            raise ValueError("daemon.set_points.largest_rps: it must not exceed envelope.speed_limit_rps")
         return self
 
 
@@ -353,10 +355,4 @@ def deciding_section(axis: AxisFile, effect: str) -> DecideProfile:
 
 def model_of(path: str | Path, axis: AxisFile) -> ModelFile:
     """The model file that an axis file names. Raises DocumentError."""
-    model = beside(path, axis.model)
-    if not model.exists():
-        word = formats.MODEL.word.encode()
-        files = [file for file in model.parent.glob("*.yaml") if file.is_file() and word in file.read_bytes()]
-        near = f": {did_you_mean(model.name, (file.name for file in files))}" if files else ""
-        refuse(path, [("model", f"{model}: cannot be read: No such file or directory{near}")])
-    return read_model(model)
+    return read_model(require_named(path, "model", beside(path, axis.model)))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from ..documents import StrictRecord
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
@@ -39,7 +40,14 @@ RATED_CURRENT_UNITS = {"mA": 1e-3, "mA_rms": 1e-3 * math.sqrt(2.0)}  # A of the 
 
 Milliseconds = Annotated[int, Field(ge=1, le=60_000)]
 OptionCode = Annotated[int, Field(ge=-(1 << 15), le=(1 << 15) - 1)]  # INTEGER16
+BUS_WORD = r"^(socketcan|loopback):.+$"
 DRIVE_KIND = Field(description="canopen: a drive on a CAN bus; simulated: the simulated drive, in process")
+
+
+def _named_bus(bus: str) -> str:
+    if not re.match(BUS_WORD, bus):
+        raise ValueError("write socketcan:INTERFACE (socketcan:can0) or loopback:PORT (loopback:20000)")
+    return bus
 
 
 class SimulatedDriveSection(StrictRecord):
@@ -146,7 +154,11 @@ class CanopenDriveSection(StrictRecord):
     """A CiA 402 drive with a torque mode on a CAN bus."""
 
     kind: Annotated[Literal["canopen"], DRIVE_KIND]
-    bus: Annotated[str, Field(pattern=r"^(socketcan|loopback):.+$", description="socketcan:can0 or loopback:PORT")]
+    bus: Annotated[
+        str,
+        AfterValidator(_named_bus),
+        Field(description="socketcan:can0 or loopback:PORT", json_schema_extra={"pattern": BUS_WORD}),
+    ]
     bitrate_hz: Annotated[int, Field(ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")] = 1_000_000
     node_id: Annotated[int, Field(ge=1, le=127, description="node id of the drive")]
     master_id: Annotated[int, Field(ge=1, le=127, description="node id of the master's heartbeat")] = 127

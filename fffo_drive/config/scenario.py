@@ -18,7 +18,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from .. import formats
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
-from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse
+from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..evaluation.campaign import Candidate, Case
 from ..evaluation.measures import Yardstick
@@ -171,13 +171,13 @@ def read_scenario(path: str | Path) -> Scenario:
     if file.percent_of is not None and file.percent_of not in file.controllers:
         hint = did_you_mean(file.percent_of, file.controllers)
         refuse(path, [("percent_of", f"no controller is called '{file.percent_of}': {hint}")])
-    axis_path = beside(path, file.axis)
+    axis_path = require_named(path, "axis", beside(path, file.axis))
     axis = read_axis(axis_path)
     model = model_of(axis_path, axis)
     plant, device = None, None
-    drive_path = beside(path, file.drive) if file.drive else None
+    drive_path = require_named(path, "drive", beside(path, file.drive)) if file.drive else None
     if drive_path is None and isinstance(axis.drive, SimulatedDriveSection):
-        drive_path = beside(axis_path, axis.drive.file)
+        drive_path = require_named(axis_path, "drive.file", beside(axis_path, axis.drive.file))
     if drive_path is not None:
         drive = read_simulated(drive_path)
         plant, device = _changed_plant(drive.plant, file.plant, path, lines), drive.device

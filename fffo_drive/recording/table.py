@@ -113,7 +113,12 @@ def _open(path: Path) -> _TableFile:
         return MatFile(path)
     if name.endswith(TEXT_SUFFIXES):
         return CsvFile(path)
-    raise RecordingError(f"{path}: unknown kind of table; {', '.join(SUFFIXES)} can be read")
+    raise unknown_kind(path)
+
+
+def unknown_kind(path: Path | str) -> RecordingError:
+    """For a file whose name has no ending of a table."""
+    return RecordingError(f"{path}: unknown kind of table; {', '.join(SUFFIXES)} can be read")
 
 
 def _conversions(source: _TableFile, mapping: ColumnMap, require: Sequence[str]) -> dict[str, Conversion]:

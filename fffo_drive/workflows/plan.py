@@ -24,7 +24,7 @@ from ..config.sections import ProfileSection, length_problems
 from ..config.session import session_config
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
-from ..documents import StrictRecord, check, parse, read_text, refuse
+from ..documents import StrictRecord, check, parse, read_text, refuse, require_named
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
@@ -138,7 +138,7 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
     if bus is not None:
         require(plan.path, [f"drive.kind: simulated runs in process and has no bus: leave --bus {bus} out"])
 
-    config = read_simulated(beside(plan.path, section.file))
+    config = read_simulated(require_named(plan.path, "drive.file", beside(plan.path, section.file)))
     return SimulatedDrive(config.plant, config.device)
 
 

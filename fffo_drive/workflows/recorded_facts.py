@@ -16,7 +16,7 @@ from ..importing.convert import FACTS_NAME
 from ..model.parameters import ModelFile
 from ..recording.errors import RecordingError
 from ..recording.reader import Run, read_run
-from ..recording.table import column_names
+from ..recording.table import SUFFIXES, column_names, unknown_kind
 from .replay import recorded_files
 
 SIMULATED_RESOLVER_BITS = 15
@@ -26,7 +26,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     """The facts in `file`, else those in the recordings.
 
     Raises DocumentError for a log without facts, for recordings of different axes, and for `columns` that a log does
-    not have.
+    not have; RecordingError for a file of another kind.
     """
     if file is not None:
         given = read_facts(file)
@@ -35,6 +35,8 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     found: DriveFacts | None = None
     for log in logs:
         if not str(log).endswith(RECORDINGS):
+            if not str(log).lower().endswith(SUFFIXES):
+                raise unknown_kind(log)
             raise DocumentError(
                 f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
                 "`fffo-drive import`"

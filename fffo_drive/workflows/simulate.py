@@ -9,7 +9,7 @@ from ..config.axis import beside
 from ..config.drive_section import SimulatedDriveSection
 from ..config.simulated import read_simulated
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
-from ..documents import DocumentError
+from ..documents import DocumentError, require_named
 from ..drive.simulated.in_process import SimulatedDrive
 from ..evaluation.metrics import Rows
 from ..recording.ring_reader import RingReader
@@ -34,7 +34,7 @@ def simulate(plan: Plan, toggle: int, seed: int | None = None) -> Simulated:
     section = plan.axis.drive
     if not isinstance(section, SimulatedDriveSection):
         raise DocumentError(f"{plan.path}: drive.kind: the drive is on a bus: `run` moves it, `simulate` cannot")
-    config = read_simulated(beside(plan.path, section.file))
+    config = read_simulated(require_named(plan.path, "drive.file", beside(plan.path, section.file)))
     plant = config.plant if seed is None else replace(config.plant, seed=seed)
     drive = SimulatedDrive(plant, config.device)
     drive.connect()

@@ -392,6 +392,11 @@ CASES = (
         "a bus for a drive in process", (*RUN, "--bus", "BUS"), 78,
         (rf"{AXIS}:\d+: drive\.kind: simulated runs in process and has no bus: leave --bus",),
     ),
+    Case(
+        "a torque object of a node's second axis", RUN_ON_BUS, 78,
+        (rf"{BUS_AXIS}:\d+: drive\.torque_feedback\.object: 0x6877 is 0x6077 of axis 2 of a node\. .*first axis",),
+        drive_key("torque_feedback: {object: 0x6877}"),
+    ),
     # the EDS
     Case("missing EDS", RUN_ON_BUS, 78, ("EDS file none.eds: No such file",), drive_key("eds: none.eds"), (node(),)),
     Case(

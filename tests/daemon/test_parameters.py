@@ -38,7 +38,7 @@ SINE = {"kind": "sine", "duration_s": 5, "amplitude": 1, "frequency_hz": 1}
         ("start", {"profile": SINE | {"duration_s": True}}, "profile.duration_s: a number above 0 and up to 86400"),
         ("start", {"profile": SINE | {"amplitude": "2"}}, "profile.amplitude: a number above 0 and up to 1000"),
         ("start", {"profile": SINE | {"amplitud": 2}}, "profile.amplitud: unknown parameter"),
-        ("start", {"profile": {"kind": "sin"}}, "profile: 'kind' 'sin' is none of 'paper', 'sine'"),
+        ("start", {"profile": {"kind": "sin"}}, "profile.kind: 'sin' is none of 'paper', 'sine'"),
         ("start", {"profile": {"kind": "points", "points": [[0, 0], [1, True]]}}, "profile.points.1.1: a number"),
         ("model", {"text": "x" * 200_001}, "text: at most 200000 characters are allowed"),
     ],

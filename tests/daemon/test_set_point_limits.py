@@ -76,7 +76,7 @@ def test_the_margin_of_the_window_is_at_most_a_tenth_of_it(tmp_path, margin_rev,
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"largest_rps": 26}, "daemon.set_points.largest_rps must not exceed envelope.speed_limit_rps"),
+        ({"largest_rps": 26}, "daemon.set_points.largest_rps: it must not exceed envelope.speed_limit_rps"),
         ({"jerk_rps3": 0}, "jerk_rps3"),
         ({"jog_timeout_s": 11}, "jog_timeout_s"),
         ({"acceleration_rps": 3}, "acceleration_rps2"),

@@ -129,6 +129,10 @@ def test_a_trip_ends_the_run_with_its_exit_code_and_its_record(tmp_path, capsys)
         (["run", "none.yaml"], 78, "cannot be read"),
         (["log", "info", "none.mcap"], 78, "none.mcap"),
         (["config", "check", "none.yaml"], 78, "cannot be read"),
+        (["config", "check", str(CONFIGS / "axis_simulate.yaml")], 78, "did you mean 'axis_simulated.yaml'?"),
+        (["bench", "--config", str(CONFIGS / "axis_simulated.yaml")], 78, "bench needs an axis on a bus"),
+        (["evaluate"], 78, "fffo-drive evaluate: give a SCENARIO"),
+        (["identify", str(CONFIGS / "axis_simulated.yaml"), "--out", "none"], 78, "unknown kind of table"),
         (["run", str(CONFIGS / "axis_canopen.yaml"), "--bus", "socketcan:nosuch0", "--uncommissioned"], 69, "nosuch0"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -169,6 +170,15 @@ def test_the_command_writes_a_page_and_numbers(tmp_path, capsys):
     assert true_mae["pi+fffo+"]["value"] < 0.3 * true_mae["pi"]["value"]
     assert (out / "report.html").stat().st_size > 50_000
     assert json.loads((out / "report.json").read_text())["results"] == results
+
+
+def test_a_file_that_a_scenario_names_and_is_not_there_is_reported_at_its_key(tmp_path):
+    file = written(tmp_path)
+    text = file.read_text()
+    line = next(k for k, one in enumerate(text.splitlines(), 1) if one.startswith("axis:"))
+    file.write_text(re.sub(r"(?m)^axis: .*$", "axis: nosuch.yaml", text))
+    with pytest.raises(DocumentError, match=rf"{file.name}:{line}: axis: .*nosuch.yaml: cannot be read: No such file"):
+        read_scenario(file)
 
 
 def test_ticks_in_which_the_envelope_changes_a_command_are_counted(tmp_path):
