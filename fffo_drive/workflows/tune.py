@@ -12,6 +12,7 @@ from ..config.axis import hold_dead_band_rev
 from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
+from ..identification.uncertainty import ADVICE, UNKNOWN_SD
 from ..model.parameters import ModelFile
 
 LOCUS_POINTS = 61
@@ -57,6 +58,7 @@ def tune(
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
+    found = found._replace(warnings=(*found.warnings, *undetermined(model)))
     if longer_s > 0.0:
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
@@ -72,6 +74,24 @@ def tune(
         )
         found = found._replace(warnings=(*found.warnings, text))
     return Tuned(axis, found)
+
+
+def undetermined(model: ModelFile) -> list[str]:
+    """A sentence for each of inertia and Coulomb friction that the data of a fitted model hardly determine.
+
+    An excitation that hardly breaks the axis away fits any viscous friction with any Coulomb friction: the margins are
+    then those of another axis, and the feed-forward torque may be several times the friction.
+    """
+    return [
+        f"the data of the model do not determine {what}, {quantity.value:.3g} +- {quantity.sd:.2g} {unit} "
+        f"({ADVICE[key][0]}): these may be gains for another axis. Record {ADVICE[key][1]}, with more current, and "
+        "identify again"
+        for key, what, quantity, unit in (
+            ("inertia_nm_s2_per_rev", "inertia J", model.inertia_kg_m2, "kg m2"),
+            ("coulomb_nm", "Coulomb friction Fc", model.friction.coulomb_nm, "Nm"),
+        )
+        if quantity.sd is not None and quantity.sd > UNKNOWN_SD * abs(quantity.value)
+    ]
 
 
 def require_positive(**given: float | None) -> None:
