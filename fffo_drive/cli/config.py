@@ -69,8 +69,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.action == "check":
         plans = [make_plan(path) for path in options.config]
         for plan in plans:
-            if not isinstance(plan.axis.drive, CanopenDriveSection):
-                open_drive(plan)  # an error in the file of a simulated drive comes before any "ok"
+            open_drive(plan)  # an error in the file of a simulated drive, or no EDS, comes before any "ok"
         for plan in plans:
             _check(plan)
         for text in shared_buses([(str(plan.path), plan.axis) for plan in plans]):

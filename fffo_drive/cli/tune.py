@@ -12,6 +12,7 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import yaml
 from ..config.axis import hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import commissioned_delay_s
 from ..config.drive_profile import profile_path, shipped_profiles
+from ..config.sections import ControllerSection
 from ..control.stability import linear_axis
 from ..documents import DocumentError, parse, read_text
 from ..identification.tuning import Wish
@@ -53,12 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="damping ratio of the closed-loop poles (%(default)s)",
     )
     parser.add_argument(
-        "--phase-margin-deg", type=float, default=Wish().phase_margin_deg, metavar="DEG",
+        "--phase-margin-deg", type=_margin("phase_margin_deg"), default=Wish().phase_margin_deg, metavar="DEG",
         help="smallest phase margin (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--gain-margin",
-        type=float,
+        type=_margin("gain_margin"),
         default=Wish().gain_margin,
         metavar="RATIO",
         help="smallest gain margin (%(default)s)",
@@ -74,6 +76,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--svg", action="store_true", help=f"also draw each figure as DIR/{FIGURES}/NAME.svg")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _margin(key: str) -> Callable[[str], float]:
+    """A number in the range that this key has in an axis file."""
+
+    def margin(text: str) -> float:
+        value = float(text)
+        bounds = ControllerSection.model_fields[key].metadata
+        low, high = (next(getattr(one, name) for one in bounds if hasattr(one, name)) for name in ("ge", "le"))
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is outside {low} to {high}")
+        return value
+
+    return margin
 
 
 def execute(options: argparse.Namespace) -> int:

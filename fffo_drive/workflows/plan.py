@@ -130,7 +130,8 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
 
         on_bus = section.drive_config(plan.model.torque_constant_nm_per_a, period_ns, bus)
         if on_bus.eds is not None:
-            on_bus = dataclasses.replace(on_bus, eds=str(beside(plan.path, on_bus.eds)))
+            eds = require_named(plan.path, "drive.eds", beside(plan.path, on_bus.eds))
+            on_bus = dataclasses.replace(on_bus, eds=str(eds))
         return CanopenDrive(on_bus)
     from ..config.simulated import read_simulated
     from ..drive.simulated.in_process import SimulatedDrive

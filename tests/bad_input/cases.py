@@ -398,7 +398,10 @@ CASES = (
         drive_key("torque_feedback: {object: 0x6877}"),
     ),
     # the EDS
-    Case("missing EDS", RUN_ON_BUS, 78, ("EDS file none.eds: No such file",), drive_key("eds: none.eds"), (node(),)),
+    Case(
+        "missing EDS", RUN_ON_BUS, 78, (rf"{BUS_AXIS}:\d+: drive\.eds: none.eds: cannot be read: No such file",),
+        drive_key("eds: none.eds"), (node(),),
+    ),
     Case(
         "a file that is no EDS", RUN_ON_BUS, 78, (f"EDS file {DRIVE}: has no section .*is it an EDS",),
         drive_key(f"eds: {DRIVE}"), (node(),),

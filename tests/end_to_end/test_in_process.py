@@ -143,6 +143,16 @@ def test_errors_are_one_message_and_an_exit_code(words, code, text, capsys):
     assert "Traceback" not in captured.err
 
 
+@pytest.mark.parametrize(("option", "value"), [("--phase-margin-deg", "200"), ("--gain-margin", "0.5")])
+def test_a_margin_that_no_axis_file_takes_is_not_tuned_for(option, value, tmp_path, capsys):
+    model = str(CONFIGS / "models" / "table1.yaml")
+    with pytest.raises(SystemExit) as ended:
+        main(["tune", model, "--out", str(tmp_path / "out"), option, value])
+    assert ended.value.code == 2
+    assert f"argument {option}: {value} is outside" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("command", ["run", "sim", "bench", "log", "config"])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as caught:
