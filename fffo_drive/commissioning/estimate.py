@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..arrays import Floats, Integers
+from ..least_squares import LinearFit, least_squares
 from .motion import PulseMotion, extreme, integral, pulse_windows
 
 LARGEST_AGE_S = 0.02
@@ -167,16 +168,13 @@ def fit_gain(motion: PulseMotion) -> GainFit | None:
     damped = _centred(-integral(motion.time_s, motion.velocity_rps)[rows], group)
     target = _centred(velocity, group)
 
-    def solve(delay_s: float) -> tuple[Floats, float]:
+    def solve(delay_s: float) -> LinearFit:
         pushed = _centred(np.interp(time_s - delay_s, motion.time_s, command), group)
-        columns = np.column_stack([pushed, slowed, damped])
-        coefficients, *_ = np.linalg.lstsq(columns, target, rcond=None)
-        rest = target - columns @ coefficients
-        return np.asarray(coefficients), float(rest @ rest)
+        return least_squares(np.column_stack([pushed, slowed, damped]), target)
 
-    delay_s = _search(lambda d: solve(d)[1], 0.0, _shortest_onset_s(motion), DELAY_STEP_S)
-    coefficients, rest = solve(delay_s)
-    return GainFit(float(coefficients[0]), delay_s, rest / float(target @ target))
+    delay_s = _search(lambda d: solve(d).cost, 0.0, _shortest_onset_s(motion), DELAY_STEP_S)
+    found = solve(delay_s)
+    return GainFit(float(found.values[0]), delay_s, found.cost / float(target @ target))
 
 
 def update_interval_s(motion: PulseMotion, period_s: float) -> float:

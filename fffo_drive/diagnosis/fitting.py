@@ -13,9 +13,10 @@ import numpy as np
 
 from ..arrays import Floats, Integers
 from ..identification.coordinates import LONGEST_DELAY_S, STRIBECK_EXPONENTS
-from ..identification.criterion import HUBER, Folds, clipped, huber, levels
+from ..identification.criterion import Folds, clipped, levels
 from ..identification.residuals import PRESLIDING_LENGTHS
 from ..identification.threads import in_threads
+from ..least_squares import Normal, Rule, huber, huber_weights, minimise, normal_equations, spectrum, sums_by
 from ..model.effects import slots
 from ..model.effects.law import PER_TURN, SHAPE
 from ..model.effects.laws.lookup import VISCOUS
@@ -44,6 +45,7 @@ from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes
 LOOKUP = "lookup"  # a free curve: its knots are fixed
 CURVE_PRIOR = 1e-3  # prior weight, as a share of the squared norm of a curve's column
 CONVERGED = 3e-4  # relative decrease of the loss that ends a fit
+RULE = Rule(1e-4, 0.1, 1e-6, 30.0, 1e-3, 4, CONVERGED, CONVERGED)
 STEADY = 0.02  # ... and below which the sensitivities are reused
 STEEPEST = 5.0  # largest Fs over Fc
 LARGEST_LOG = 0.5  # largest step of the logarithm of a positive parameter
@@ -94,6 +96,9 @@ class Fitted(NamedTuple):
         return float(np.sum(clipped(self.white) ** 2))
 
 
+Evaluated = tuple[Fitted, list[Scene]]
+
+
 class Slot(NamedTuple):
     """One fitted number of an effect."""
 
@@ -115,7 +120,7 @@ def loads_of(scenes: Sequence[Scene], effects: Sequence[Effect]) -> list[Floats]
     return [np.sum([load_along(s, one.name, one.values(s.stretch.run)) for one in effects], axis=0) for s in scenes]
 
 
-def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> tuple[Fitted, list[Scene]]:
+def evaluate(data: Data, physical: Floats, effects: Sequence[Effect]) -> Evaluated:
     """Residual of a model at the rows, and the scenes of its effects."""
     models = models_along(data.stretches, physical)
     residual = residual_rows(data.stretches, physical, data.rows, models)
@@ -154,10 +159,15 @@ def with_levels(data: Data, fitted: Fitted) -> Data:
 def jacobian(data: Data, fitted: Fitted) -> Floats:
     """White sensitivities of everything that is fitted: the base, then the numbers of the effects. (q, p)"""
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    numbers = slots_of(fitted.effects, data.rows.turns)
-    own = effect_jacobian(data, fitted.effects, numbers, scenes)
-    base = _free(data, loaded_sensitivities(data, fitted.physical, fitted.effects))
-    return data.white(np.concatenate([base, own], axis=1))
+    return _jacobian(data, fitted, scenes, slots_of(fitted.effects, data.rows.turns), len(BASE))
+
+
+def _jacobian(data: Data, fitted: Fitted, scenes: Sequence[Scene], numbers: Sequence[Slot], count: int) -> Floats:
+    matrix = effect_jacobian(data, fitted.effects, numbers, scenes)
+    if count:
+        base = _free(data, loaded_sensitivities(data, fitted.physical, fitted.effects))
+        matrix = np.concatenate([base, matrix], axis=1)
+    return data.white(matrix)
 
 
 def _free(data: Data, matrix: Floats) -> Floats:
@@ -280,7 +290,6 @@ def effect_jacobian(data: Data, effects: Sequence[Effect], numbers: Sequence[Slo
 
 def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 4, datum_alone: bool = False) -> Fitted:
     """Fit base and effects from a start; `datum_alone`: only the strengths with a datum per run."""
-    best, scenes = evaluate(data, start, effects)
     turns = data.rows.turns
     numbers = slots_of(effects, turns)
     count = len(BASE)
@@ -288,66 +297,49 @@ def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 
         numbers = [slot for slot in numbers if slot.name in effects[slot.effect].per_run]
         count = 0
     prior = data.prior or wide_prior(data.start)
-    centre, precision = prior.centre, prior.weighed(data.used.size)[:count, :count]
-    damping, change = 1e-4, np.inf
-    matrix = np.zeros((best.white.size, 0))
-    penalty = _penalty(best, centre, precision)
-    for _ in range(iterations):
-        if change > STEADY:
-            own = effect_jacobian(data, best.effects, numbers, scenes)
-            if count:
-                base = _free(data, loaded_sensitivities(data, best.physical, best.effects))
-                own = np.concatenate([base, own], axis=1)
-            matrix = data.white(own)
-        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(best.white), 1e-12))
-        gradient = matrix.T @ (weight * best.white)
-        hessian = matrix.T @ (weight[:, None] * matrix)
-        gradient[:count] -= precision @ distance(best.physical, centre)[:count]
-        hessian[:count, :count] += precision
-        _curve_prior(hessian, gradient, best, numbers, count)
-        accepted = None
-        for _ in range(4):
-            step = _solve(hessian, gradient, damping)
-            if 0.5 * float(gradient @ step) < CONVERGED * best.loss * best.white.size:
-                break
-            physical = stepped(best.physical, step[:count], data.free) if count else best.physical
-            moved_effects: Sequence[Effect] = best.effects
-            for slot, size in zip(numbers, step[count:], strict=True):
-                limit = LARGEST_LOG if slot.logarithmic else np.inf
-                if slot.periods_per_turn:
-                    limit = 0.25 / max(turns, 1.0)
-                moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
-            trial, trial_scenes = evaluate(data, physical, moved_effects)
-            trial_penalty = _penalty(trial, centre, precision)
-            if np.isfinite(trial.loss) and trial.loss + trial_penalty < best.loss + penalty:
-                accepted = trial
-                break
-            damping = max(1e-3, 30.0 * damping)
-        if accepted is None:
-            break
-        change = (best.loss - accepted.loss) / best.loss
-        best, scenes, penalty = accepted, trial_scenes, trial_penalty
-        damping = max(1e-6, 0.1 * damping)
-        if change < CONVERGED:
-            break
-    return best
+    precision = prior.weighed(data.used.size)[:count, :count]
+    matrix, before = np.zeros((0, 0)), np.inf
+
+    def loss(fitted: Fitted) -> float:
+        away = distance(fitted.physical, prior.centre)[:count]
+        return fitted.loss * fitted.white.size + 0.5 * float(away @ precision @ away)
+
+    def about(point: Evaluated) -> tuple[float, Normal]:
+        nonlocal matrix, before
+        fitted, scenes = point
+        if not fitted.loss >= (1.0 - STEADY) * before:
+            matrix = _jacobian(data, fitted, scenes, numbers, count)
+        before = fitted.loss
+        normal = normal_equations(matrix, fitted.white, huber_weights(fitted.white))
+        normal.moment[:count] -= precision @ distance(fitted.physical, prior.centre)[:count]
+        normal.matrix[:count, :count] += precision
+        _curve_prior(normal, fitted, numbers, count)
+        return loss(fitted), normal
+
+    def after(point: Evaluated, step: Floats) -> tuple[Evaluated, float]:
+        fitted = point[0]
+        physical = stepped(fitted.physical, step[:count], data.free) if count else fitted.physical
+        moved_effects: Sequence[Effect] = fitted.effects
+        for slot, size in zip(numbers, step[count:], strict=True):
+            limit = LARGEST_LOG if slot.logarithmic else np.inf
+            if slot.periods_per_turn:
+                limit = 0.25 / max(turns, 1.0)
+            moved_effects = changed(moved_effects, slot, float(np.clip(size, -limit, limit)))
+        trial = evaluate(data, physical, moved_effects)
+        return trial, loss(trial[0])
+
+    return minimise(evaluate(data, start, effects), about, after, RULE, iterations)[0][0]
 
 
-def _penalty(fitted: Fitted, centre: Floats, precision: Floats) -> float:
-    """Penalty of the prior, in nats per row."""
-    away = distance(fitted.physical, centre)[: precision.shape[0]]
-    return 0.5 * float(away @ precision @ away) / max(1, fitted.white.size)
-
-
-def _curve_prior(hessian: Floats, gradient: Floats, fitted: Fitted, numbers: Sequence[Slot], first: int) -> None:
+def _curve_prior(normal: Normal, fitted: Fitted, numbers: Sequence[Slot], first: int) -> None:
     """Prior of free curves: values of the size of the friction, shrunk to zero where the motion hardly goes."""
     for place, slot in enumerate(numbers, first):
         effect = fitted.effects[slot.effect]
         if law_of(effect.name).name == LOOKUP:
             size = "viscous_nm_per_rps" if effect.shapes["kind"] == VISCOUS else "coulomb_nm"
-            precision = CURVE_PRIOR * hessian[place, place] + 1.0 / fitted.physical[NAMES.index(size)] ** 2
-            gradient[place] -= precision * float(effect.strengths[slot.name][0])
-            hessian[place, place] += precision
+            precision = CURVE_PRIOR * normal.matrix[place, place] + 1.0 / fitted.physical[NAMES.index(size)] ** 2
+            normal.moment[place] -= precision * float(effect.strengths[slot.name][0])
+            normal.matrix[place, place] += precision
 
 
 def loaded_sensitivities(data: Data, physical: Floats, effects: Sequence[Effect]) -> Floats:
@@ -382,17 +374,6 @@ def _load_slopes(
     return np.stack(list(in_threads(slope, columns)), axis=1)
 
 
-def _solve(hessian: Floats, gradient: Floats, damping: float) -> Floats:
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    use = np.diag(hessian) > 1e-12 * float(np.diag(hessian).max(initial=1e-300))
-    found = np.zeros(gradient.size)
-    part = hessian[np.ix_(use, use)] / np.outer(scale[use], scale[use])
-    values, vectors = np.linalg.eigh(part)
-    inverse = 1.0 / (np.maximum(values, 0.0) + damping + 1e-9)
-    found[use] = (vectors @ (inverse * (vectors.T @ (gradient[use] / scale[use])))) / scale[use]
-    return found
-
-
 def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Floats:
     """Base parameters after a step in their coordinates, within bounds."""
     found = physical
@@ -419,13 +400,9 @@ def standard_deviations(data: Data, fitted: Fitted, matrix: Floats | None = None
     largest bias that it can cause in a number.
     """
     matrix = jacobian(data, fitted) if matrix is None else matrix
-    norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", matrix, matrix)), 1e-300)
-    scaled = matrix / norms
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
-    block = data.rows.folds.block[data.used]
-    products = scaled * clipped(fitted.white)[:, None]
-    scores = np.stack([np.bincount(block, products[:, k]) for k in range(products.shape[1])], axis=1)
-    spread = inverse @ (scores.T @ scores) @ inverse
-    weighted = scaled * data.weight[data.used][:, None]
-    pull = np.sqrt(scaled.shape[0] * np.maximum(np.diag(inverse @ (weighted.T @ weighted) @ inverse), 0.0))
-    return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0) + (HIDDEN * negligible_nm * pull) ** 2) / norms)
+    half = spectrum(matrix.T @ matrix).basis()
+    inverse, used = half @ half.T, data.used
+    scores = sums_by(data.rows.folds.block[used], matrix * clipped(fitted.white)[:, None]) @ inverse
+    pull = (matrix * data.weight[used][:, None]) @ inverse
+    share = used.size * (HIDDEN * negligible_nm) ** 2
+    return np.asarray(np.sqrt(np.sum(scores**2, axis=0) + share * np.einsum("ij,ij->j", pull, pull)))

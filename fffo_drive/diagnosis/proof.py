@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Floats, Mask
-from ..identification.criterion import Folds, Gain, gain, huber
+from ..identification.criterion import Folds, Gain, gain
 from ..identification.dataset import Record
+from ..least_squares import huber
 from .base import NAMES
 from .fitting import Data, Fitted, at_rest, consistent_scenes, evaluate, fit, torque_of, with_levels
 from .gates import needed_rows

@@ -17,6 +17,7 @@ from ..identification.criterion import DISTINCT, Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
 from ..identification.ranking import ranked
 from ..identification.threads import in_threads
+from ..least_squares import spectrum, sums_by
 from ..model.effects import slots
 from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
@@ -93,14 +94,7 @@ def evidence_of(data: Data, fitted: Fitted, known: Floats, negligible_nm: float 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     """Orthonormal basis of the columns (q, k), without (nearly) dependent ones. (q, <=k)"""
-    norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    use = norms > 0.0
-    if not use.any():
-        return np.zeros((columns.shape[0], 0))
-    scaled = columns[:, use] / norms[use]
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    good = values > tolerance * values[-1]
-    return np.asarray(scaled @ (vectors[:, good] / np.sqrt(values[good])))
+    return np.asarray(columns @ spectrum(columns.T @ columns).basis(tolerance))
 
 
 class _Solved(NamedTuple):
@@ -119,15 +113,7 @@ def _solved(squares: Floats, gram: Floats, product: Floats) -> _Solved:
     """`squares` (k,) of the original columns; `gram` (k, k) and `product` (k,) with the residual, after projection."""
     left = np.diag(gram)
     use = (left > DISTINCT * squares) & (left > 0.0)
-    strengths = np.zeros(squares.size)
-    turn = np.zeros((squares.size, 0))
-    if not use.any():
-        return _Solved(0.0, strengths, turn)
-    norms = np.sqrt(left[use])
-    values, vectors = np.linalg.eigh(gram[np.ix_(use, use)] / np.outer(norms, norms))
-    good = values > COLLINEAR * values[-1]
-    turn = np.zeros((squares.size, int(good.sum())))
-    turn[use] = vectors[:, good] / np.sqrt(values[good]) / norms[:, None]
+    turn = spectrum(np.where(np.outer(use, use), gram, 0.0)).basis(COLLINEAR)
     total = product @ turn
     return _Solved(float(total @ total), turn @ total, turn)
 
@@ -142,14 +128,11 @@ def score(evidence: Evidence, white: Floats, load: Floats | None = None) -> Scor
     residual = evidence.residual
     left = residual - axes @ (axes.T @ residual)
     whole = residual if load is None else left + load
-
-    def in_windows(values: Floats) -> Floats:
-        return np.stack([np.bincount(evidence.folds.window, values * axis) for axis in axes.T], axis=1)
-
-    leverage = np.bincount(evidence.folds.window, np.einsum("ij,ij->i", axes, axes)).astype(np.float64)
+    window = evidence.folds.window
+    with_it, beside_it, squares = (sums_by(window, values * axes) for values in (whole[:, None], left[:, None], axes))
     own_nm = evidence.level_nm * (axes @ (axes.T @ whole))
     negligible = evidence.negligible_nm**2 / max(float(np.mean(own_nm**2)), 1e-300)
-    return found.score(sandwich_p(in_windows(whole), in_windows(left), leverage, negligible))
+    return found.score(sandwich_p(with_it, beside_it, squares.sum(axis=1), negligible))
 
 
 def scores(evidence: Evidence, white: Floats, sizes: Sequence[int]) -> list[Score]:

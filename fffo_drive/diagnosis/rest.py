@@ -18,7 +18,8 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from ..arrays import Floats
-from ..identification.criterion import gain, huber
+from ..identification.criterion import gain
+from ..least_squares import huber
 from ..model.effects import slots
 from ..model.effects.registry import axis_of_effect
 from .fitting import Data, Fitted, consistent_scenes

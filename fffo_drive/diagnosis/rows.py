@@ -19,6 +19,7 @@ from ..arrays import Floats, Integers, Mask
 from ..identification.criterion import Folds, folds_of
 from ..identification.dataset import Record
 from ..identification.kinematics import low_pass
+from ..least_squares import least_squares
 from .kernels import filter_rows, play_path
 
 CUTOFF_HZ = 45.0  # cut-off of the shared filter for runs that also contain slow motion
@@ -133,7 +134,8 @@ def cutoff_of(records: Sequence[Record], rotary: bool = True) -> float:
     torque = np.concatenate([filter_.rows(s.torque_constant_nm_per_a * s.current_a) for s in stretches])
     rigid = np.column_stack([rows.acceleration_rps2, velocity, np.sign(velocity), np.ones(velocity.size)])
     kept = rows.kept
-    left = np.where(kept, torque - rigid @ np.linalg.lstsq(rigid[kept], torque[kept], rcond=None)[0], 0.0)
+    left = np.zeros(torque.size)
+    left[kept] = least_squares(rigid[kept], torque[kept]).residual
     wanted_hz = CUTOFF_HZ
     usual = float(np.median(np.abs(velocity[kept])))
     for order in range(max(1, round(CUTOFF_HZ / usual)), round(min(HIGHEST_ORDER, highest_hz / slow)) + 1):

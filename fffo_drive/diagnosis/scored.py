@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..identification.criterion import clipped, huber, robust_residual, sandwich_p, unseen_loss
+from ..identification.criterion import clipped, robust_residual, sandwich_p, unseen_loss
+from ..least_squares import huber
 from .fitting import (
     Data,
     Fitted,

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..arrays import Floats
 from ..identification.coordinates import start_vector
-from ..identification.criterion import HUBER, huber
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
 from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
@@ -21,6 +20,7 @@ from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
 from ..identification.rows import turns_one_way
 from ..identification.threads import in_threads
+from ..least_squares import HUBER, huber, huber_weights, least_squares
 from ..units import MAD_TO_SD
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
@@ -43,17 +43,12 @@ class Regression(NamedTuple):
 def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
     """Robust least squares of `torque` (m,) on columns (m,) each."""
     matrix = np.column_stack(columns)
-    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     weight = np.ones(torque.size)
-    values = np.zeros(matrix.shape[1])
-    left, level = torque, 0.0
     for _ in range(REWEIGHTED):
-        root = np.sqrt(weight)
-        values = np.linalg.lstsq(root[:, None] * matrix / scale, root * torque, rcond=1e-8)[0] / scale
-        left = torque - matrix @ values
-        level = max(MAD_TO_SD * float(np.median(np.abs(left))), 1e-300)
-        weight = np.minimum(1.0, HUBER * level / np.maximum(np.abs(left), 1e-300))
-    return Regression(values, float(np.mean(weight * left * left)), level)
+        fit = least_squares(matrix, torque, weight)
+        level = max(MAD_TO_SD * float(np.median(np.abs(fit.residual))), 1e-300)
+        weight = huber_weights(fit.residual, HUBER * level)
+    return Regression(fit.values, float(np.mean(weight * fit.residual**2)), level)
 
 
 def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> tuple[TorqueStart, float]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Integers
+from ..least_squares import huber_weights, normal_equations
 from .channels import Channels
 from .detector import CLIP, ChannelPrior
 
@@ -32,11 +33,11 @@ def fit_change(channels: Channels, prior: ChannelPrior, c: int, runs: Integers, 
     pull = ridge @ np.concatenate([prior.mean[c], [0.0]])
     weight = np.ones(runs.size)
     for _ in range(ROUNDS):
-        own = design * weight[:, None]
-        normal = own.T @ design + ridge
-        solution = np.linalg.solve(normal, own.T @ target + pull)
+        normal, moment = normal_equations(design, target, weight)
+        normal += ridge
+        solution = np.linalg.solve(normal, moment + pull)
         residual = target - design @ solution
-        weight = np.minimum(1.0, CLIP / np.maximum(np.abs(residual), 1e-300))
+        weight = huber_weights(residual, CLIP)
     clipped = np.clip(residual, -CLIP, CLIP)
     sd = math.sqrt(float(np.linalg.inv(normal)[3, 3]))
     return ChangeFit(float(solution[3]), sd, float(clipped @ clipped))

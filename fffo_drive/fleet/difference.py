@@ -25,6 +25,7 @@ from scipy import stats
 
 from ..arrays import Floats
 from ..documents import counted
+from ..least_squares import spectrum
 from .change import fit_change
 from .channels import (
     COLUMNS,
@@ -170,10 +171,9 @@ def _columns_compared(
 def _beside(product: Floats, moment: Floats, chosen: Sequence[int], dof: float) -> _Change:
     """Change of the last of these laws, beside changes of the others."""
     part = np.ix_(chosen, chosen)
-    size = np.sqrt(np.diag(product)[list(chosen)])
-    inverse = np.linalg.pinv(product[part] / np.outer(size, size), hermitian=True)
-    change = float((inverse @ (moment[list(chosen)] / size))[-1] / size[-1])
-    sd = math.sqrt(max(float(inverse[-1, -1]), 1e-300)) / float(size[-1])
+    found = spectrum(product[part])
+    change = float(found.solution(moment[list(chosen)])[-1])
+    sd = float(np.linalg.norm(found.basis()[-1]))
     return _Change(change, sd, float(2.0 * stats.t.sf(abs(change) / sd, dof)), dof)
 
 

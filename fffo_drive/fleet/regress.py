@@ -22,6 +22,7 @@ from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
 from ..identification.rows import RegressionRows, turns_one_way
 from ..jit import njit
+from ..least_squares import spectrum
 from .matrices import inverses
 
 PARAMETERS = (
@@ -98,24 +99,13 @@ def block_starts(kept: Integers, count: int, period_s: float) -> Integers:
 
 def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     """Rows over how much larger variances are than those of independent rows, by blocks' scores (b, p)."""
-    scale, scaled = _scaled(balance.normal)
-    curvature, directions = np.linalg.eigh(scaled)
-    known = curvature > SINGULAR
-    rank = int(known.sum())
+    half = sums @ spectrum(balance.normal).basis(SINGULAR)
+    rank = half.shape[1]
     if rms_nm == 0.0 or rank == 0 or sums.shape[0] <= rank:
         return balance.rows
-    half = (sums / scale @ directions)[:, known] / np.sqrt(curvature[known])
     few = sums.shape[0] / (sums.shape[0] - rank)
     ratio = few * float(np.sum(half**2)) / (rank * rms_nm**2)
     return float(balance.rows / max(1.0, ratio))
-
-
-def _scaled(normal: Floats) -> tuple[Floats, Floats]:
-    """Lengths of the columns (..., p), and the normal matrix (..., p, p) of columns of length one."""
-    length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
-    scale = np.where(length > 0.0, length, 1.0)
-    both: Floats = scale[..., :, None] * scale[..., None, :]
-    return scale, np.divide(normal, both, out=both)
 
 
 def solve(balance: Balance) -> Estimates:
@@ -126,20 +116,25 @@ def solve(balance: Balance) -> Estimates:
 
 
 def solve_each(normal: Floats, moment: Floats, energy_nm2: Floats, rows: Floats, effective_rows: Floats) -> Estimates:
-    """`solve` of n balances: (n, p, p), (n, p) and (n,) each."""
-    scale, information = _scaled(normal)
+    """`solve` of n balances: (n, p, p), (n, p) and (n,) each.
+
+    A fleet has many: by Cholesky, and by eigenvalues only where a direction may not be determined.
+    """
+    length = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
+    scale = np.where(length > 0.0, length, 1.0)
+    information: Floats = scale[..., :, None] * scale[..., None, :]
+    np.divide(normal, information, out=information)
     within = np.diagonal(information, axis1=-2, axis2=-1) > 0.0  # columns that the motion has
     rank = within.sum(axis=-1)
     inverse, determinant = inverses(information)
     # with ones on the diagonal the smallest eigenvalue is at least the determinant over e, by the means of the others
     rest = np.flatnonzero(determinant < math.e * SINGULAR)
-    curvature, directions = np.linalg.eigh(information[rest])
-    known = curvature > SINGULAR
+    found = spectrum(information[rest])
+    known, curvature = found.known(SINGULAR), found.curvature
     rank[rest] = known.sum(axis=-1)
     for matrices, values in ((inverse, 1.0 / np.where(known, curvature, np.inf)), (information, known * curvature)):
-        matrices[rest] = np.einsum("nij,nj,nkj->nik", directions, values, directions)
-    # a parameter that has a part in a direction that is not determined is not determined either
-    within[rest] &= np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < SINGULAR**0.5
+        matrices[rest] = np.einsum("nij,nj,nkj->nik", found.directions, values, found.directions)
+    within[rest] &= found.determined(SINGULAR)
     theta, sd, rms_nm = np.empty(scale.shape), np.full(scale.shape, np.nan), np.empty(rank.size)
     sums = np.array([energy_nm2, rows, effective_rows])
     _estimate_each(inverse, scale, rank, within, np.array(moment), sums, theta, information, sd, rms_nm)

@@ -10,6 +10,7 @@ import numpy as np
 from .. import formats
 from ..arrays import Floats
 from ..documents import counted
+from ..least_squares import spectrum
 from ..report.document import (
     Cell,
     Heading,
@@ -28,7 +29,7 @@ from ..report.document import (
 from ..report.figures import Figure, PlotAxis, Series
 from ..units import NORMAL_95
 from .history import RunHistory
-from .regress import PARAMETERS
+from .regress import PARAMETERS, SINGULAR
 from .spread import LEAST_DRIVES, OUTSIDE_P, ModelSpread, Outsider, QuantitySpread
 from .store import StoreStatus
 from .watch import Watched, alarm_text
@@ -325,15 +326,10 @@ def _parameter_figures(name: str, drive: str, history: RunHistory, spread: Model
 
 def sds_of(history: RunHistory) -> Floats:
     """Standard deviations (n, p) of single runs; nan where a run does not determine a parameter."""
-    diagonal = np.diagonal(history.information, axis1=1, axis2=2)
-    there = diagonal > 0.0
-    scale = np.where(there, np.sqrt(np.where(there, diagonal, 1.0)), 1.0)
-    scaled = history.information / (scale[:, :, None] * scale[:, None, :])
-    curvature, directions = np.linalg.eigh(scaled)
-    known = curvature > 1e-9
-    variance = np.einsum("nij,nj->ni", directions**2, np.where(known, 1.0 / np.where(known, curvature, 1.0), 0.0))
-    within = np.abs(np.einsum("nij,nj->ni", directions**2, known.astype(np.float64)) - 1.0) < 1e-4
-    return np.asarray(np.where(within & there, np.sqrt(variance) / scale, np.nan))
+    found = spectrum(history.information)
+    curvature = np.where(found.known(SINGULAR), found.curvature, np.inf)
+    variance = np.einsum("nij,nj->ni", found.directions**2, 1.0 / curvature)
+    return np.asarray(np.where(found.determined(SINGULAR), np.sqrt(variance) / found.lengths, np.nan))
 
 
 def _residual_figure(name: str, drive: str, history: RunHistory) -> Figure:

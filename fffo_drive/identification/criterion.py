@@ -16,6 +16,7 @@ import numpy.typing as npt
 import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Integers
+from ..least_squares import HUBER, huber, huber_weights, normal_equations, spectrum
 from ..units import MAD_TO_SD
 
 FOLDS = 5
@@ -24,7 +25,6 @@ BLOCKS = 50  # ... and a short log has at least this many
 SHORTEST_BLOCK_S = 0.2
 WINDOWS_A_BLOCK = 4
 SDS = 2.0  # of the gain, below which it may be chance
-HUBER = 3.0  # standard deviations beyond which the loss grows linearly
 DISTINCT = 1e-3  # share of the square of a torque or column that must remain when everything else is projected out
 # of a column's squared norm: a coefficient that the other folds hardly determine stays at the value of all rows
 RIDGE = 1e-4
@@ -87,13 +87,6 @@ def levels(residual: Floats, kept: npt.NDArray[np.bool_], classes: Integers) -> 
     return weight
 
 
-def huber(white: Floats) -> Floats:
-    """Negative log-likelihood of each row in nats, unit variance, linear beyond HUBER. Shapes (m,)."""
-    size = np.abs(white)
-    inner = np.minimum(size, HUBER)
-    return np.asarray(inner * (size - 0.5 * inner))
-
-
 def clipped(white: Floats) -> Floats:
     """The score of `huber`: residuals clipped at HUBER."""
     return np.asarray(np.clip(white, -HUBER, HUBER))
@@ -131,10 +124,13 @@ def robust_residual(target: Floats, columns: Floats) -> Floats:
     """Residual of `target` (m,) after the fit of `columns` (m, p), both whitened, with the loss of `huber`."""
     left, scaled = target, _of_unit_norm(columns)
     for _ in range(ROBUST_STEPS):
-        weighted = scaled * np.minimum(1.0, HUBER / np.maximum(np.abs(left), HUBER))[:, None]
-        square = weighted.T @ scaled + RIDGE * np.eye(columns.shape[1])
-        left = target - scaled @ np.linalg.solve(square, weighted.T @ target)
+        left = _beside(target, scaled, huber_weights(left))
     return left
+
+
+def _beside(target: Floats, scaled: Floats, weight: Floats | None = None) -> Floats:
+    normal = normal_equations(scaled, target, weight)
+    return np.asarray(target - scaled @ np.linalg.solve(normal.matrix + RIDGE * np.eye(scaled.shape[1]), normal.moment))
 
 
 def gain(without: Floats, with_it: Floats, folds: Folds, kept: npt.NDArray[np.bool_] | None = None) -> Gain:
@@ -162,10 +158,7 @@ def hotelling_p(scores: Floats, tried: int = 1) -> float:
         return 1.0
     mean = scores.mean(axis=0)
     spread = (scores - mean).T @ (scores - mean) / (count - 1)
-    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    statistic = count * float(
-        mean / scale @ np.linalg.pinv(spread / np.outer(scale, scale), rcond=1e-10) @ (mean / scale)
-    )
+    statistic = count * float(mean @ spectrum(spread).solution(mean))
     tail = float(scipy.stats.f.sf(statistic * (count - rank) / (rank * (count - 1)), rank, count - rank))
     return min(1.0, max(SMALLEST_P, tail * tried))
 
@@ -193,9 +186,7 @@ def sandwich_p(
     if windows <= rank + 2:
         return 1.0
     size, scores = weight @ with_it, weight[:, None] * beside
-    scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", scores, scores), 1e-300))
-    spread = (scores / scale).T @ (scores / scale)
-    statistic = float(size / scale @ np.linalg.pinv(spread, rcond=1e-10) @ (size / scale))
+    statistic = float(size @ spectrum(scores.T @ scores).solution(size))
     ratio, freedom = statistic * (windows - rank) / (rank * windows), windows - rank
     if negligible > 0.0:
         tail = float(scipy.stats.ncf.sf(ratio, rank, freedom, negligible * statistic))
@@ -213,8 +204,7 @@ def strength_variation(torque: Floats, beside: Floats, residual: Floats, folds: 
     machine has one strength everywhere; a substitute for another law does not. The noise comes from the windows of each
     block. 0 where `beside` determines the torque but for DISTINCT of its square: a full lag's strength beside a delay.
     """
-    scaled = _of_unit_norm(beside)
-    own = torque - scaled @ np.linalg.solve(scaled.T @ scaled + RIDGE * np.eye(beside.shape[1]), scaled.T @ torque)
+    own = _beside(torque, _of_unit_norm(beside))
     if own @ own < DISTINCT * (torque @ torque):
         return 0.0
     energy = np.bincount(folds.block, own**2)

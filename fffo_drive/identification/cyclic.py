@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ..arrays import Floats, Mask
+from ..least_squares import least_squares, sums_by
 from ..units import NORMAL_95, TWO_PI
 from .coverage import LEAST_TURNS
 from .criterion import folds_of
@@ -105,7 +105,11 @@ def cyclic_error(records: Sequence[Record]) -> CyclicError | None:
     phase = TWO_PI * np.outer(angle, np.arange(1, highest + 1))
     offsets = (stretch[:, None] == np.unique(stretch)).astype(np.float64)
     matrix = np.concatenate([np.cos(phase), np.sin(phase), velocity[:, None], offsets], axis=1)
-    values, covariance, left = _least_squares(matrix, error, window)
+    fit = least_squares(matrix, error)
+    values, half = fit.values, fit.spectrum.basis()
+    turned = sums_by(window, fit.residual[:, None] * matrix) @ half  # what each window says, by independent columns
+    freedom = turned.shape[0] / max(1, turned.shape[0] - values.size)  # smaller for having been fitted
+    covariance = freedom * half @ (turned.T @ turned) @ half.T
     orders = tuple(_order(k, highest, values, covariance) for k in range(1, highest + 1))
     classes = np.minimum((np.mod(angle, 1.0) * ANGLE_CLASSES).astype(np.int64), ANGLE_CLASSES - 1)
     count = np.bincount(classes, minlength=ANGLE_CLASSES)
@@ -114,7 +118,7 @@ def cyclic_error(records: Sequence[Record]) -> CyclicError | None:
         mean = np.where(count > 0, rest / count, np.nan)
     lag = 2 * highest
     found = CyclicError(
-        orders, float(values[lag]), float(np.sqrt(covariance[lag, lag])), 0.0, float(np.sqrt(np.mean(left**2))),
+        orders, float(values[lag]), float(np.sqrt(covariance[lag, lag])), 0.0, float(np.sqrt(np.mean(fit.residual**2))),
         error.size, (np.arange(ANGLE_CLASSES) + 0.5) / ANGLE_CLASSES, mean,
     )  # fmt: skip
     return found._replace(peak_to_peak_rev=float(np.ptp(found.error_rev(np.linspace(0.0, 1.0, 20 * HIGHEST_ORDER)))))
@@ -146,21 +150,6 @@ def _errors(record: Record, part: slice) -> tuple[Floats, Floats, Floats, Mask]:
         )
     good = np.ones(error.size, bool) if record.good is None else record.good[part]
     return error - error.mean(), position, np.gradient(reference, record.period_s), good
-
-
-def _least_squares(matrix: Floats, target: Floats, window: npt.NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-    """Solution (p,), covariance (p, p) by whole windows, and what is left (n,)."""
-    norms = np.maximum(np.sqrt(np.einsum("ij,ij->j", matrix, matrix)), 1e-300)
-    scaled = matrix / norms
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
-    values = inverse @ (scaled.T @ target)
-    left = target - scaled @ values
-    _, place = np.unique(window, return_inverse=True)
-    products = scaled * left[:, None]
-    scores = np.stack([np.bincount(place, products[:, k]) for k in range(products.shape[1])], axis=1)
-    freedom = scores.shape[0] / max(1, scores.shape[0] - values.size)  # they are smaller for having been fitted
-    covariance = freedom * inverse @ (scores.T @ scores) @ inverse
-    return values / norms, covariance / np.outer(norms, norms), left
 
 
 def _order(order: int, highest: int, values: Floats, covariance: Floats) -> Order:

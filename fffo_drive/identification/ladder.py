@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import Floats
+from ..least_squares import least_squares, sums_by
 from ..model.effects.registry import law_of
 from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
 from .dataset import Record
@@ -24,7 +25,7 @@ from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER
 from .layout import EffectStart
 from .regression import TorqueStart
-from .rows import CONSTANT, RegressionRows, least_squares, rigid_columns, rows_at, stretches_of, turns_one_way
+from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of, turns_one_way
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried
@@ -282,8 +283,7 @@ def _weighted(bench: _Bench, chosen: Sequence[EffectCandidate]) -> _Weighted:
     known = np.column_stack([bench.base, *(_columns(bench, one) for one in chosen)])
     weight = kept.astype(np.float64)
     for _ in range(2):  # once unweighted, for the levels
-        solution, _ = least_squares(known * weight[:, None], torque_nm * weight)
-        residual = torque_nm - known @ solution
+        residual = torque_nm - known @ least_squares(known, torque_nm, weight**2).values
         weight = levels(residual, kept, bench.classes)
     return _Weighted(weight, torque_nm * weight, known * weight[:, None], residual * weight)
 
@@ -292,10 +292,7 @@ def _beside(white: _Weighted, columns: Floats) -> Floats:
     """Columns (m, k), whitened, with the known columns projected out; empty if nothing is left."""
     own = columns * white.weight[:, None]
     square = np.einsum("ij,ij->j", own, own)
-    scale = np.linalg.norm(white.known, axis=0)
-    known = white.known / np.where(scale > 0.0, scale, 1.0)
-    normal = known.T @ known + 1e-10 * np.eye(known.shape[1])
-    left = own - known @ np.linalg.solve(normal, known.T @ own)
+    left = least_squares(white.known, own).residual
     free = np.einsum("ij,ij->j", left, left) > SAME_COLUMNS * square
     return np.asarray(left[:, free])
 
@@ -306,9 +303,8 @@ def _explained(white: _Weighted, columns: Floats) -> float:
     if not left.shape[1]:
         return 0.0
     pulled = clipped(white.residual)
-    _, rest = least_squares(left, pulled)
     energy = float(pulled @ pulled)
-    return 1.0 - rest / energy if energy > 0.0 else 0.0
+    return 1.0 - least_squares(left, pulled).cost / energy if energy > 0.0 else 0.0
 
 
 def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> float:
@@ -317,8 +313,7 @@ def _chance(bench: _Bench, white: _Weighted, columns: Floats, tried: int) -> flo
     if not left.shape[1]:
         return 1.0
     scores = left * clipped(white.residual)[:, None]
-    sums = np.column_stack([np.bincount(bench.folds.window, column).astype(np.float64) for column in scores.T])
-    return hotelling_p(sums, tried)
+    return hotelling_p(sums_by(bench.folds.window, scores), tried)
 
 
 def _best(
@@ -358,9 +353,9 @@ def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, trie
     whole = np.column_stack([white.known, own])
     without = unseen_loss(white.residual, white.known, bench.folds)
     found = gain(without, unseen_loss(white.residual, whole, bench.folds), bench.folds, bench.rows.sliding)
-    solution, _ = least_squares(whole, white.target)
+    values = least_squares(whole, white.target).values
     return AcceptedEffect(
-        chosen[k], solution[white.known.shape[1] :], found.value, found.sd,
+        chosen[k], values[white.known.shape[1] :], found.value, found.sd,
         _chance(bench, white, columns, tried), _explained(white, columns),
     )  # fmt: skip
 
@@ -381,8 +376,8 @@ def _is_possible(one: AcceptedEffect) -> bool:
 def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueStart) -> TorqueStart:
     """The start of the fit with the accepted candidates; unchanged if the result is not a valid axis."""
     white = _weighted(bench, chosen)
-    solution, _ = least_squares(white.known, white.target)
-    inertia, viscous, coulomb, excess = (float(value) for value in solution[: bench.base.shape[1]])
+    values = least_squares(white.known, white.target).values
+    inertia, viscous, coulomb, excess = (float(value) for value in values[: bench.base.shape[1]])
     if not (inertia > 0.0 and coulomb > 0.0):
         return start
     return start._replace(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
+from ..least_squares import LinearFit, least_squares
 from .dataset import DataError, Record
 from .ranking import lower
 from .rows import (
@@ -21,7 +22,6 @@ from .rows import (
     DIRECTION,
     RegressionRows,
     delay_between,
-    least_squares,
     rigid_columns,
     rows_at,
     stretches_of,
@@ -48,8 +48,8 @@ class TorqueStart(NamedTuple):
     most_friction_nm: float = math.inf  # that acted in the logs, stuck or sliding, without its viscous part
 
 
-def _solve(rows: RegressionRows, bump: Floats | None = None) -> tuple[Floats, float]:
-    """Inertia, viscous and Coulomb friction, what multiplies `bump` (m,), a constant; and the squared residual.
+def _solve(rows: RegressionRows, bump: Floats | None = None) -> LinearFit:
+    """Inertia, viscous and Coulomb friction, what multiplies `bump` (m,), a constant.
 
     The constant is left out where the axis turns one way, and is then the same thing as Coulomb friction.
     """
@@ -83,13 +83,12 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
     low, high = float(np.quantile(speed, 0.02)), float(np.quantile(speed, 0.9))
     for velocity in np.geomspace(max(low, 1e-3 * high), 0.5 * high, 14):
         for exponent in EXPONENTS:
-            solution, cost = _solve(rows, direction * np.exp(-((speed / velocity) ** exponent)))
-            plausible = solution[2] > 0.0 and solution[3] > 0.0 and solution[1] > 0.0
-            if plausible and lower(cost, best[0]):
-                best = (cost, float(velocity), exponent, solution)
+            found = _solve(rows, direction * np.exp(-((speed / velocity) ** exponent)))
+            if (found.values[1:4] > 0.0).all() and lower(found.cost, best[0]):
+                best = (found.cost, float(velocity), exponent, found.values)
     if not np.isfinite(best[0]):
-        solution, cost = _solve(rows)
-        best = (cost, 0.1 * high, 1.0, np.insert(solution, CONSTANT, 0.1 * abs(solution[2])))
+        found = _solve(rows)
+        best = (found.cost, 0.1 * high, 1.0, np.insert(found.values, CONSTANT, 0.1 * abs(found.values[2])))
     velocity, exponent = best[1:3]
     inertia, viscous, coulomb, excess, constant = (float(value) for value in best[3])
     coulomb = max(coulomb, 1e-3 * float(np.abs(torque_nm).mean()))

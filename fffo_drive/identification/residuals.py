@@ -24,7 +24,7 @@ from .coordinates import PARAMETERS, axis_of
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of, trusted
 from .prediction import observer, table_at
-from .shooting import PATH_COLUMNS, Kick, follow, shoot
+from .shooting import PATH_COLUMNS, follow, shoot
 
 OBSERVER_HZ = 40.0
 WINDOW_S = 0.2
@@ -139,7 +139,7 @@ def velocity_errors(
         output = np.empty((starts.size, samples // block))
         table, spare = (table_at(terms, axis, period_s, part.start) for _ in range(2))
         shoot(
-            axis, table, spare, shooting, Kick(0.0, 0.0), nuisance.offset_nm,
+            axis, table, spare, shooting, nuisance.offset_nm,
             np.ascontiguousarray(record.current_a[part]), position, starts, 0, output,
         )  # fmt: skip
         moved = np.array([np.ptp(position[k : k + samples]) > 5.0 * record.lsb_rev for k in starts])

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Integers, Mask
+from ..least_squares import least_squares
 from .dataset import DataError, Record
 from .kinematics import (
     Kinematics,
@@ -29,7 +30,6 @@ from .kinematics import (
 ROWS_A_PERIOD = 4.0  # of the filter's cut-off
 ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's columns
 LEAST_OTHER_WAY = 0.02  # share of the rows that must turn the other way
-SINGULAR = 1e-12  # of a normal matrix: a millionth of its columns
 PRESLIDING_SHARE = 5e-4  # of a typical stroke, by which presliding may last however fine the sensor is
 LONGEST_DELAY_SAMPLES = 24
 LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
@@ -137,7 +137,7 @@ def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> f
     costs = []
     for delay_s in delays:
         rows = rows_at(stretches, cutoff_hz, float(delay_s))
-        costs.append(least_squares(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding])[1])
+        costs.append(least_squares(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding]).cost)
     return parabola_minimum(delays, np.array(costs))
 
 
@@ -146,19 +146,6 @@ def turns_one_way(direction: Floats) -> bool:
     torque are inseparable.
     """
     return bool(min(np.mean(direction > 0.0), np.mean(direction < 0.0)) < LEAST_OTHER_WAY) if direction.size else True
-
-
-def least_squares(columns: Floats, target: Floats) -> tuple[Floats, float]:
-    """Coefficients (p,) of `columns` (m, p) for `target` (m,), and the squared residual.
-
-    By the normal equations of scaled columns, with a ridge of a millionth for collinear columns.
-    """
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    scale[scale == 0.0] = 1.0
-    normal = (columns.T @ columns) / np.outer(scale, scale)
-    solution = np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True) @ ((columns.T @ target) / scale) / scale
-    residual = target - columns @ solution
-    return solution, float(residual @ residual)
 
 
 def parabola_minimum(x: Floats, y: Floats) -> float:

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..arrays import Floats
+from ..least_squares import least_squares, sums_by
 from .criterion import BLOCK_S, SHORTEST_BLOCK_S
 from .dataset import DataError, Record
 from .kinematics import DEFAULT_CUTOFF_HZ
@@ -26,7 +27,6 @@ from .rows import (
     DIRECTION,
     VELOCITY,
     RegressionRows,
-    least_squares,
     rigid_columns,
     rows_at,
     stretches_of,
@@ -121,8 +121,7 @@ def _without_stribeck(rows: RegressionRows, start: TorqueStart) -> RegressionRow
         own = rows.sliding & (rows.run == number)
         if np.count_nonzero(own) < LEAST_ROWS:
             continue
-        left, torque = (values[own] - columns[own] @ least_squares(columns[own], values[own])[0]
-                        for values in (fall, rows.torque_nm))  # fmt: skip
+        left, torque = least_squares(columns[own], np.column_stack([fall, rows.torque_nm])[own]).residual.T
         products += float(left @ torque)
         squares += float(left @ left)
         energy += float(torque @ torque)
@@ -138,21 +137,16 @@ def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
     if count < LEAST_ROWS:
         return RunLook(record.name, record.begin_s, {}, one_way, count, np.inf)
     columns, torque_nm = rigid_columns(rows)[own], rows.torque_nm[own]
-    norm = np.linalg.norm(columns, axis=0)
-    norm[norm == 0.0] = 1.0
-    scaled = columns / norm
-    curvature, directions = np.linalg.eigh(scaled.T @ scaled)
-    inverse = (directions / np.maximum(curvature, 1e-12)) @ directions.T
-    solution = inverse @ (scaled.T @ torque_nm)
-    scores = scaled * (torque_nm - scaled @ solution)[:, None]
+    fit = least_squares(columns, torque_nm)
+    norm, curvature, inverse = fit.spectrum.lengths, fit.spectrum.curvature, fit.spectrum.inverse()
     block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, record.duration_s / BLOCKS_A_RUN))
     blocks = np.flatnonzero(own) // max(1, round(block_s / rows.period_s))
-    sums = np.add.reduceat(scores, np.flatnonzero(np.diff(blocks, prepend=-1)), axis=0)
+    sums = sums_by(blocks, fit.residual[:, None] * columns / norm)
     few = sums.shape[0] / max(1.0, sums.shape[0] - len(PARAMETERS))
     sd = np.sqrt(np.maximum(np.diag(inverse @ (sums.T @ sums) @ inverse), 0.0) * few)
     inflation = np.diag(inverse)
     level_nm = float(np.sqrt(torque_nm @ torque_nm))
-    left = float(np.linalg.norm(torque_nm - scaled @ solution)) / max(level_nm, 1e-300)
+    left = float(np.linalg.norm(fit.residual)) / max(level_nm, 1e-300)
     known = left <= LARGEST_LEFT and sums.shape[0] >= LEAST_BLOCKS
     determined = known & (inflation <= LARGEST_INFLATION) & (sd <= LARGEST_SHARE_SD * level_nm)
     if one_way:
@@ -160,7 +154,7 @@ def _look(record: Record, number: int, rows: RegressionRows) -> RunLook:
     noise_rps2 = _acceleration_noise_rps2(record, rows.cutoff_hz)
     determined[ACCELERATION] &= norm[ACCELERATION] > NOISE_RATIO * noise_rps2 * np.sqrt(count)
     estimates = {
-        name: Estimate(float(solution[k] / norm[k]), float(sd[k] / norm[k]), bool(determined[k]), float(inflation[k]))
+        name: Estimate(float(fit.values[k]), float(sd[k] / norm[k]), bool(determined[k]), float(inflation[k]))
         for k, name in enumerate(PARAMETERS)
     }
     condition = float(curvature[-1] / max(curvature[0], 1e-12))

@@ -43,13 +43,6 @@ class Nuisance(NamedTuple):
     sensor_lag_s2: float  # the measured position is low by this times the acceleration: second order of all lags
 
 
-class Kick(NamedTuple):
-    """A change of the state at the start of every window, for sensitivities."""
-
-    velocity_rps: float
-    friction_nm: float
-
-
 @njit
 def _advance(
     config: AxisConfig, table: EffectTable | None, state: AxisState, offset_nm: float, current_a: Floats, sample: int,
@@ -175,7 +168,7 @@ def _free_run(
 
 @njit
 def shoot(
-    config: AxisConfig, table: EffectTable | None, spare: EffectTable | None, shooting: ShootingConfig, kick: Kick,
+    config: AxisConfig, table: EffectTable | None, spare: EffectTable | None, shooting: ShootingConfig,
     offset_nm: float, current_a: Floats, position_rev: Floats, starts: Integers, first: int, output: Any,
 ) -> None:  # fmt: skip
     """Residuals (measured minus simulated position, rev) of all windows of a record, from sample `first` on.
@@ -202,15 +195,9 @@ def shoot(
                 config, table, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
             )
             sample += 1
-        f = state.friction
-        kicked = AxisState(
-            state.velocity_rps + kick.velocity_rps,
-            state.position_rev,
-            FrictionState(f.torque_nm + kick.friction_nm, f.travel_rev, f.omega_nm, f.direction),
-        )
         if table is not None and spare is not None:
             _copy_effects(table, spare)
-        _free_run(config, spare, shooting, kicked, offset_nm, current_a, position_rev, starts[window], output[window])
+        _free_run(config, spare, shooting, state, offset_nm, current_a, position_rev, starts[window], output[window])
         state = _advance(
             config, table, state, offset_nm, current_a, sample, delay, shooting.period_s, shooting.substeps
         )

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt with bounds and Huber weights on a finite-difference Jacobian."""
+"""The minimum of the prediction errors, with Huber's loss, within bounds, by finite differences."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ..arrays import Floats
+from ..arrays import Floats, Integers
+from ..least_squares import SINGULAR, Normal, Rule, huber, huber_weights, minimise, normal_equations, spectrum
 from ..units import MAD_TO_SD
 from .coordinates import Coordinates, to_physical
 from .prediction import Problem, jacobian, residual
@@ -17,6 +17,7 @@ HUBER = 4.0  # residuals beyond this many robust standard deviations lose weight
 LARGEST_STEP = 0.7  # of a coordinate in one iteration
 REFINING = 1e-6  # damping of a refining step, for directions that the data do not determine
 CONVERGED = 2e-5  # relative fall of the cost
+RULE = Rule(1e-3, 0.2, 1e-8, 8.0, 0.0, 8, CONVERGED, 0.0)
 SAMPLE = 50_000  # residuals are decimated to about this many for the robust scale
 
 
@@ -36,62 +37,37 @@ def robust_scale(errors: Floats) -> float:
     return max(MAD_TO_SD * float(np.median(np.abs(thinned))), 1e-6)
 
 
-def huber_weights(errors: Floats, scale: float) -> Floats:
-    """Weights of an iteratively reweighted least squares: 1 inside, falling outside."""
-    magnitude = np.abs(errors)
-    return np.asarray(np.minimum(1.0, HUBER * scale / np.maximum(magnitude, 1e-300)))
-
-
 def huber_cost(errors: Floats, scale: float) -> float:
     """Mean Huber loss, scaled as a mean square."""
-    limit = HUBER * scale
-    magnitude = np.abs(errors)
-    inner = np.minimum(magnitude, limit)
-    return float(np.mean(inner * (2.0 * magnitude - inner)))
+    return 2.0 * float(np.mean(huber(errors, HUBER * scale)))
 
 
 def solve(
     problem: Problem, space: Coordinates, start: Floats, iterations: int = 25,
     progress: Callable[[int], None] | None = None,
 ) -> Solution:  # fmt: skip
-    """Minimise the Huber loss of the prediction errors from a start, within the bounds."""
-    values = np.clip(start, space.low, space.high)
+    """Minimise the Huber loss of the prediction errors from a start, within the bounds.
+
+    The scale of the loss is that of the errors at the beginning of each step.
+    """
     movable = np.flatnonzero(space.high > space.low)
-    damping, converged, count = 1e-3, False, 0
-    errors = residual(problem, to_physical(values, space.scale))
-    scale = robust_scale(errors)
-    cost = huber_cost(errors, scale)
-    for count in range(1, iterations + 1):
+    scale = 1.0
+
+    def about(values: Floats) -> tuple[float, Normal]:
+        nonlocal scale
         errors, matrix = jacobian(problem, space, values, movable, central=False)
         scale = robust_scale(errors)
-        cost = huber_cost(errors, scale)
-        weights = huber_weights(errors, scale)
-        gradient = matrix.T @ (weights * errors)
-        hessian = matrix.T @ (weights[:, None] * matrix)
-        stuck = (values[movable] <= space.low[movable]) & (gradient > 0.0)
-        stuck |= (values[movable] >= space.high[movable]) & (gradient < 0.0)
-        accepted = False
-        for _ in range(8):
-            step = _step(hessian, gradient, damping, ~stuck)
-            trial = values.copy()
-            trial[movable] = np.clip(trial[movable] + step, space.low[movable], space.high[movable])
-            trial_cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
-            if np.isfinite(trial_cost) and trial_cost < cost:
-                accepted = True
-                break
-            damping = min(1e6, 8.0 * damping)
-        if progress is not None:
-            progress(count)
-        if not accepted:
-            converged = True
-            break
-        fall = (cost - trial_cost) / cost
-        values, cost = trial, trial_cost
-        damping = max(1e-8, 0.2 * damping)
-        if fall < CONVERGED:
-            converged = True
-            break
-    return Solution(values, cost, count, converged, scale)
+        normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * scale))
+        stuck = (values <= space.low)[movable] & (normal.moment < 0.0)
+        stuck |= (values >= space.high)[movable] & (normal.moment > 0.0)
+        normal.matrix[stuck] = normal.matrix[:, stuck] = 0.0
+        return huber_cost(errors, scale), normal
+
+    def moved(values: Floats, step: Floats) -> tuple[Floats, float]:
+        trial = _moved(space, values, movable, step)
+        return trial, huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
+
+    return Solution(*minimise(np.clip(start, space.low, space.high), about, moved, RULE, iterations, progress), scale)
 
 
 def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int = 2) -> Solution:
@@ -117,19 +93,14 @@ def central_step(problem: Problem, space: Coordinates, solution: Solution) -> tu
     free = np.flatnonzero((values > space.low) & (values < space.high))
     errors, matrix = jacobian(problem, space, values, free, central=True)
     scale = robust_scale(errors)
-    weights = huber_weights(errors, scale)
-    gradient = matrix.T @ (weights * errors)
-    step = _step(matrix.T @ (weights[:, None] * matrix), gradient, REFINING, np.ones(free.size, dtype=np.bool_))
-    trial = values.copy()
-    trial[free] = np.clip(trial[free] + step, space.low[free], space.high[free])
+    normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * scale))
+    trial = _moved(space, values, free, spectrum(normal.matrix, SINGULAR).solution(normal.moment, REFINING))
     cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
     return solution._replace(values=trial, cost=cost, scale=scale), huber_cost(errors, scale)
 
 
-def _step(hessian: Floats, gradient: Floats, damping: float, free: npt.NDArray[np.bool_]) -> Floats:
-    diagonal = np.maximum(np.diag(hessian), 1e-12 * float(np.diag(hessian).max(initial=1e-300)))
-    step = np.zeros(gradient.size)
-    part = np.ix_(free, free)
-    step[free] = -np.linalg.solve(hessian[part] + damping * np.diag(diagonal[free]), gradient[free])
-    largest = float(np.abs(step).max(initial=0.0))
-    return step if largest <= LARGEST_STEP else step * (LARGEST_STEP / largest)
+def _moved(space: Coordinates, values: Floats, free: Integers, step: Floats) -> Floats:
+    """Coordinates after a step of the free ones, of limited length and within the bounds."""
+    trial = values.copy()
+    trial[free] += step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max(initial=0.0)), 1e-300))
+    return np.clip(trial, space.low, space.high)

@@ -17,19 +17,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ..arrays import Floats
+from ..arrays import Floats, Integers
+from ..least_squares import SINGULAR, huber_weights, normal_equations, spectrum, sums_by
 from .coordinates import LOG_SPAN, Coordinates, physical_slope
 from .prediction import Problem, jacobian
 from .ranking import ranked
-from .solver import Solution, huber_weights
+from .solver import HUBER, Solution
 
 UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0
 COLLINEAR_SD = 0.02  # a collinear parameter with a smaller deviation counts as determined
-DEAD = 1e-14  # curvature, relative to the largest, of a parameter without influence
-SINGULAR = 1e-11
 SHARED_ERROR = 0.17  # correlation of the errors of fits of one data set at 1, 3/4 and 1/2 of the bandwidth, 30 seeds
 FEWEST_BLOCKS = 8  # blocks for resampling; fewer do not give a standard deviation
 FEWEST_MOMENTS = 4.0  # a parameter that fewer windows determine counts as undetermined, whatever the sandwich gives
@@ -85,39 +83,33 @@ def uncertainty_of(
     size = len(space.names)
     free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
     errors, matrix = jacobian(problem, space, solution.values, free, central=True)
-    weights = huber_weights(errors, solution.scale)
-    weighted = weights[:, None] * matrix
-    hessian = matrix.T @ weighted
-    inverse = _scaled_inverse(hessian)
+    weights = huber_weights(errors, HUBER * solution.scale)
+    found = spectrum(normal_equations(matrix, errors, weights).matrix, SINGULAR)
+    scaled = found.inverse()
+    inverse = scaled / np.outer(found.lengths, found.lengths)
     clusters = problem.clusters()
-    scores = _window_sums(weighted * errors[:, None], clusters)
+    scores = sums_by(clusters, (weights * errors)[:, None] * matrix)
     windows = scores.shape[0]
     covariance = inverse @ _dependent_sum(scores) @ inverse * (windows / max(1.0, windows - free.size))
     statistical = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    dead = np.diag(hessian) <= DEAD * float(np.diag(hessian).max())
-    statistical[dead] = LOG_SPAN
+    statistical[np.isinf(found.lengths)] = LOG_SPAN
     doubtful = np.abs(shift[free])
     if disagreement is not None:
         explained = (1.0 - SHARED_ERROR) * statistical * statistical if disagreement.fits > 1 else 0.0
         between = np.maximum(0.0, disagreement.sd[free] ** 2 - explained)
         doubtful = np.sqrt(doubtful * doubtful + between / disagreement.fits)
-    slope = physical_slope(solution.values, space.scale)
-    sd = np.zeros((2, size))
-    sd[0, free] = statistical * slope[free]
-    sd[1, free] = doubtful * slope[free]
-    total = np.hypot(sd[0], sd[1])
+    coordinate_sd = np.zeros((2, size))
+    coordinate_sd[:, free] = statistical, doubtful
+    sd = coordinate_sd * physical_slope(solution.values, space.scale)
     correlation = np.eye(size)
     scale = np.where(statistical > 0.0, statistical, 1.0)
     correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
     inflation = np.ones(size)
-    inflation[free] = np.diag(hessian) * np.diag(inverse)
-    coordinate_sd = np.zeros((2, size))
-    coordinate_sd[0, free] = statistical
-    coordinate_sd[1, free] = doubtful
+    inflation[free] = np.diag(scaled)
     moments = np.zeros(size)
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
-    return Uncertainty(total, sd[0], sd[1], correlation, inflation, windows, moments, doubts)
+    return Uncertainty(np.hypot(*sd), sd[0], sd[1], correlation, inflation, windows, moments, doubts)
 
 
 def ratio_sd(numerators: Floats, denominators: Floats, draws: int = 1000, seed: int = 1) -> float | None:
@@ -129,24 +121,10 @@ def ratio_sd(numerators: Floats, denominators: Floats, draws: int = 1000, seed: 
     return float(np.std(numerators[drawn].sum(axis=1)[below > 0.0] / below[below > 0.0]))
 
 
-def _scaled_inverse(hessian: Floats) -> Floats:
-    """Inverse after scaling to a unit diagonal; directions without information get a tiny curvature."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), DEAD * float(np.diag(hessian).max())))
-    curvature, directions = np.linalg.eigh(hessian / np.outer(scale, scale))
-    inverse = (directions / np.maximum(curvature, SINGULAR)) @ directions.T
-    return np.asarray(inverse / np.outer(scale, scale))
-
-
-def _window_sums(rows: Floats, clusters: npt.NDArray[np.int64]) -> Floats:
-    """Sum of the rows of each window. (windows, parameters)"""
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(clusters)) + 1])
-    return np.asarray(np.add.reduceat(rows, edges, axis=0))
-
-
-def _moments(matrix: Floats, inverse: Floats, clusters: npt.NDArray[np.int64]) -> Floats:
+def _moments(matrix: Floats, inverse: Floats, clusters: Integers) -> Floats:
     """1 / sum of squared shares of the windows in what is known of each parameter, the others projected out."""
     own = (matrix @ inverse) ** 2
-    shares = _window_sums(own, clusters) / np.maximum(own.sum(axis=0), 1e-300)
+    shares = sums_by(clusters, own) / np.maximum(own.sum(axis=0), 1e-300)
     return np.asarray(1.0 / np.maximum((shares * shares).sum(axis=0), 1e-300))
 
 

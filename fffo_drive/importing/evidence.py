@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..arrays import Floats
+from ..least_squares import least_squares
 
 LEAST_STEPS = 8
 STEADY = 0.5  # of the median step: of a time that scatters, most steps are within
@@ -205,10 +206,9 @@ def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:
     matrix, target = matrix[use][:MOST_POINTS], column[use][:MOST_POINTS]
     if target.size < LEAST_STEPS or float(np.ptp(target)) == 0.0:
         return Driven(0.0, False)
-    scale = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-300)
-    found = np.linalg.lstsq(matrix / scale, target, rcond=None)[0]
-    share = 1.0 - float(np.var(target - (matrix / scale) @ found)) / float(np.var(target))
-    return Driven(share, float(target @ matrix[:, 1]) < 0.0 and float(found[0]) < 0.0)
+    found = least_squares(matrix, target)
+    share = 1.0 - float(np.var(found.residual)) / float(np.var(target))
+    return Driven(share, float(target @ matrix[:, 1]) < 0.0 and float(found.values[0]) < 0.0)
 
 
 def rises(values: Floats) -> bool:

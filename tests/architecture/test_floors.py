@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "fffo_drive"
 HOUSE_PAGE = PACKAGE / "manual" / "pages" / "explanation" / "house.md"
 FLOORS = {
     "arrays": 0, "units": 0, "signals": 0, "symbols": 0, "formats": 0, "directories": 0, "extras": 0, "roles": 0,
-    "jit": 0.25, "documents": 0.25, "packing": 0.25,
+    "jit": 0.25, "documents": 0.25, "packing": 0.25, "least_squares": 0.25,
     "model": 0.5,
     "control": 1, "can": 1, "recording": 1,
     "canopen_node": 1.5,

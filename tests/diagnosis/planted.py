@@ -18,9 +18,9 @@ from fffo_drive.diagnosis.fitting import Data, Fitted
 from fffo_drive.diagnosis.rows import make_filter
 from fffo_drive.diagnosis.scenes import Effect
 from fffo_drive.diagnosis.scored import base_of, settled
-from fffo_drive.identification.criterion import huber
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.least_squares import huber
 from fffo_drive.model.axis import AxisConfig, AxisState, simulate
 from fffo_drive.model.effects.registry import NAMES as LAWS
 from fffo_drive.model.friction import OMEGA_CLIPPED, REST, FrictionConfig

@@ -20,7 +20,8 @@ from fffo_drive.diagnosis.fitting import (
     stepped,
     with_levels,
 )
-from fffo_drive.identification.criterion import huber, unseen_loss
+from fffo_drive.identification.criterion import unseen_loss
+from fffo_drive.least_squares import huber
 
 OFFSET_NM = 0.006
 TOLERANCES = {

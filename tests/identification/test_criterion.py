@@ -6,7 +6,6 @@ from scipy import stats
 
 from fffo_drive.identification.criterion import (
     FOLDS,
-    HUBER,
     LEAST_IN_LEVEL,
     RIDGE,
     SDS,
@@ -16,12 +15,12 @@ from fffo_drive.identification.criterion import (
     folds_of,
     gain,
     hotelling_p,
-    huber,
     levels,
     sandwich_p,
     strength_variation,
     unseen_loss,
 )
+from fffo_drive.least_squares import HUBER, huber
 
 ROW_S = 0.008
 LONG = ((0, 9003), (9003, 9010), (9010, 20001))  # rows of three stretches: 72 s, less than a window, and 88 s

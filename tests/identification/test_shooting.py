@@ -9,7 +9,7 @@ from interpreted import hex_results
 from fffo_drive.identification.coordinates import axis_of, coordinates, to_coordinates, to_physical
 from fffo_drive.identification.prediction import jacobian, make_problem, moving_blocks, observer, residual
 from fffo_drive.identification.residuals import velocity_errors
-from fffo_drive.identification.shooting import PATH_COLUMNS, Kick, Nuisance, follow, innovations, shoot
+from fffo_drive.identification.shooting import PATH_COLUMNS, Nuisance, follow, innovations, shoot
 
 SHOOTING = observer(PERIOD_S, 40.0, 4)
 
@@ -26,7 +26,7 @@ def kernel_results():
     follow(AXIS, None, SHOOTING, Nuisance(0.0, 0.0), record.current_a[:200], record.position_rev[:200], path)
     windows = np.empty((2, 10))
     shoot(
-        AXIS, None, None, SHOOTING._replace(samples=40), Kick(0.01, 1e-3), 0.0, record.current_a,
+        AXIS, None, None, SHOOTING._replace(samples=40), 0.0, record.current_a,
         record.position_rev, np.array([100, 160]), 0, windows,
     )  # fmt: skip
     return [float(x).hex() for x in (*errors, *path.ravel(), *windows.ravel())]
