@@ -141,10 +141,14 @@ def njit(function: F) -> F: ...
 @overload
 def njit(*, inline: str = "never") -> Callable[[F], F]: ...
 def njit(function: Any = None, *, inline: str = "never") -> Any:
-    """Compile a kernel: no GIL, no allocation, no fastmath, division by zero gives inf or nan, cached on disk."""
+    """Compile a kernel: no GIL, no allocation, no fastmath, division by zero gives inf or nan, cached on disk.
+
+    inline="always": compiled into its callers. A record is handed to a kernel as its fields, each array as seven words,
+    so that a call with a port or the blocks copies a hundred words and more.
+    """
 
     def wrap(f: Any) -> Any:
-        kernel = numba.njit(f, fastmath=False, inline=inline, **_OPTIONS)
+        kernel = numba.njit(f, fastmath=False, forceinline=inline == "always", **_OPTIONS)
         if not INTERPRETED:
             kernel._cache = _KernelCache(f)
         return kernel
@@ -193,6 +197,6 @@ def generic(declaration: F) -> F:
 
             return implementation
 
-        uncached = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # its callers are cached whole
-        numba_overload(call, strict=False, jit_options=uncached)(choose)
+        options = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # its callers are cached whole
+        numba_overload(call, strict=False, jit_options=options | {"forceinline": True})(choose)
     return call  # type: ignore[return-value]

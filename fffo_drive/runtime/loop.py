@@ -6,7 +6,7 @@ allocates, logs, raises, or waits for another thread.
 
 `runtime.requests` takes what ordinary threads ask for and knows when the loop has to end, `runtime.tick` has the pieces
 of the tick, `runtime.row` records it. What is remembered goes from tick to tick in records; what hands on large ones
-is inlined (`njit(inline="always")`), or they would be copied at every call: a twentieth of the cycle.
+is inlined (`njit(inline="always")`), or they would be copied at every call: a tenth of the cycle.
 """
 
 from __future__ import annotations

@@ -188,7 +188,7 @@ def timing_before(config: LoopConfig, first_deadline_ns: int) -> Timing:
     return Timing(-1, deadline_ns, deadline_ns, -1)
 
 
-@njit
+@njit(inline="always")
 def wake(port: Any, config: LoopConfig, status: Words, last: Timing) -> Timing:
     """Sleep until the next deadline. Missed deadlines are skipped, never caught up.
 
@@ -202,7 +202,7 @@ def wake(port: Any, config: LoopConfig, status: Words, last: Timing) -> Timing:
     return Timing(last.tick + 1 + missed, deadline_ns + missed * config.period_ns, woke_ns, -1)
 
 
-@njit
+@njit(inline="always")
 def exchange(port: Any, config: LoopConfig, status: Words, timing: Timing) -> Timing:
     """SYNC, and its answer until the cut-off."""
     port_sync(port, timing.tick)
@@ -238,7 +238,7 @@ def follow_profile(
     return cursor, sample, read_reference(feedforward, profile[0], profile[1], past + cursor.length, past + sample)
 
 
-@njit
+@njit(inline="always")
 def follow_set_points(
     blocks: Blocks, motion: LiveMotion, feedforward: FeedforwardConfig, config: LoopConfig, tick: int,
     feedback: Any, active: bool, may_begin: bool,

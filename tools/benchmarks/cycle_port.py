@@ -60,7 +60,7 @@ class CyclePort(NamedTuple):
     cycles_ns: np.ndarray[Any, np.dtype[np.int64]]  # (cycles,) time of each cycle; the loop's last one is not closed
 
 
-@njit
+@njit(inline="always")
 def _close_part(port: CyclePort) -> int:
     """Add the time since the mark to the cycle under way. Returns the time."""
     now_ns = monotonic_ns(port.canopen.scratch)
@@ -69,7 +69,7 @@ def _close_part(port: CyclePort) -> int:
     return now_ns
 
 
-@njit
+@njit(inline="always")
 def _answer(port: CyclePort, tick: int) -> int:
     """The drive: hear what was sent, answer the SYNC. Returns the number of frames heard."""
     heard = 0
@@ -82,14 +82,14 @@ def _answer(port: CyclePort, tick: int) -> int:
 
 
 @port_now_ns.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _now_ns(port: CyclePort) -> int:
     now_ns = port_now_ns(port.canopen)
     return now_ns if port.paced != 0 else int(port.words[CLOCK_NS])
 
 
 @port_sleep_until.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _sleep_until(port: CyclePort, deadline_ns: int) -> int:
     now_ns = _close_part(port)
     if port.words[MARK_NS] > 0:
@@ -103,7 +103,7 @@ def _sleep_until(port: CyclePort, deadline_ns: int) -> int:
 
 
 @port_sync.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _sync(port: CyclePort, tick: int) -> int:
     result = port_sync(port.canopen, tick)
     _close_part(port)
@@ -113,19 +113,19 @@ def _sync(port: CyclePort, tick: int) -> int:
 
 
 @port_receive.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _receive(port: CyclePort, tick: int, cutoff_ns: int) -> int:
     return port_receive(port.canopen, tick, cutoff_ns)
 
 
 @port_command.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _command(port: CyclePort, tick: int, controlword: int, current_a: float) -> float:
     return port_command(port.canopen, tick, controlword, current_a)
 
 
 @port_housekeeping.register(CyclePort)  # type: ignore[attr-defined]
-@njit
+@njit(inline="always")
 def _housekeeping(port: CyclePort, tick: int) -> int:
     return port_housekeeping(port.canopen, tick)
 

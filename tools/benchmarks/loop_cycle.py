@@ -45,7 +45,7 @@ from fffo_drive.workflows.plan import Plan, make_plan, plan_session
 
 NAME = "loop_cycle"
 AXIS = ROOT / "configs" / "axis_canopen.yaml"
-TARGET = 1.10
+TARGET, LATE_TARGET = 1.05, 1.10  # of the median cycle and of the 99th percentile
 REVERSING_HZ = 20.0
 AHEAD_NS = 1_000_000_000  # the first deadline lies far ahead, so that no cycle is late and none is skipped
 CLOCK_FIELDS = ("deadline_ns", "lateness_ns", "turnaround_ns", "busy_ns", "heartbeat_age_ns", "late")
@@ -245,7 +245,7 @@ def run() -> int:
         ours, theirs = found[f"{text}, numba"], found[f"{text}, C"]
         report.ratio(f"{text}: median cycle, numba over C", paired_ratio(ours["median"], theirs["median"]), TARGET)
         report.ratio(f"{text}: least cycle, numba over C", paired_ratio(ours["least"], theirs["least"]))
-        report.ratio(f"{text}: 99th percentile, numba over C", paired_ratio(ours["p99"], theirs["p99"]))
+        report.ratio(f"{text}: 99th percentile, numba over C", paired_ratio(ours["p99"], theirs["p99"]), LATE_TARGET)
     report.table(
         ("variant", "least cycle, us", "median, us", "99 %, us"),
         [

@@ -50,7 +50,7 @@ MAX_DRAINED = 1 << 14  # frames read before one SYNC, so that a flood cannot hol
 FLOOD_CHECK = 32  # frames between two checks of the clock while receiving
 
 
-@njit
+@njit(inline="always")
 def _send_command(port: CanopenPort, controlword: int, target: int) -> int:
     """Send the RPDO. Returns 0, or -errno."""
     frame = port.command_frame
@@ -62,13 +62,13 @@ def _send_command(port: CanopenPort, controlword: int, target: int) -> int:
 
 
 @port_now_ns.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _now_ns(port: CanopenPort) -> int:
     return monotonic_ns(port.scratch)
 
 
 @port_sleep_until.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _sleep_until(port: CanopenPort, deadline_ns: int) -> int:
     while sleep_until(port.scratch, deadline_ns) == EINTR:
         pass
@@ -76,7 +76,7 @@ def _sleep_until(port: CanopenPort, deadline_ns: int) -> int:
 
 
 @port_sync.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _sync(port: CanopenPort, tick: int) -> int:
     memory = port.memory
     drained = 0
@@ -101,7 +101,7 @@ def _sync(port: CanopenPort, tick: int) -> int:
 
 
 @port_receive.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _receive(port: CanopenPort, tick: int, cutoff_ns: int) -> int:
     memory = port.memory
     mask = port.answer_mask
@@ -122,7 +122,7 @@ def _receive(port: CanopenPort, tick: int, cutoff_ns: int) -> int:
 
 
 @port_command.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _command(port: CanopenPort, tick: int, controlword: int, current_a: float) -> float:
     if port.feedback[0]["bus_off"] != 0:
         return 0.0
@@ -137,7 +137,7 @@ def _command(port: CanopenPort, tick: int, controlword: int, current_a: float) -
 
 
 @port_housekeeping.register(CanopenPort)  # type: ignore[attr-defined, untyped-decorator]
-@njit
+@njit(inline="always")
 def _housekeeping(port: CanopenPort, tick: int) -> int:
     now_ns = monotonic_ns(port.scratch)
     slot = next_service_frame(port.queue, now_ns)

@@ -28,7 +28,7 @@ from .sending import note_bus_state, note_errno
 FLAGS = can.EXTENDED_FLAG | can.REMOTE_FLAG
 
 
-@njit
+@njit(inline="always")
 def _decode(port: CanopenPort, slot: int, tick: int) -> int:
     """Decode the fields of a TPDO in the received frame into the feedback. Returns 0."""
     feedback = port.feedback[0]
@@ -69,7 +69,7 @@ def _unwrap(memory: Words, raw: int) -> int:
     return int(memory[POSITION_COUNTS])
 
 
-@njit
+@njit(inline="always")
 def _take_answer(port: CanopenPort, slot: int, tick: int, in_time: bool) -> int:
     """A TPDO that answers every SYNC: use it, or count it as late. Returns 0."""
     memory = port.memory
@@ -129,7 +129,7 @@ def _take_error_frame(port: CanopenPort, word: int) -> int:
     return note_bus_state(port)
 
 
-@njit
+@njit(inline="always")
 def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
     """Handle the frame in `port.received`. SYNC of others is counted, their other frames are ignored. Returns 0."""
     word: Any = np.int64(port.received_words[0])
@@ -161,7 +161,7 @@ def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
     return _decode(port, slot, tick)
 
 
-@njit
+@njit(inline="always")
 def read_frame(port: CanopenPort) -> int:
     """One frame into `port.received` without waiting: 1, or 0 when there is none (or the bus is gone)."""
     while True:
