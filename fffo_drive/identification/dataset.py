@@ -174,9 +174,7 @@ def where_command_acts(record: Record) -> Record:
         )
         if getattr(record, name) is not None
     }  # fmt: skip
-    warning = (
-        f"{text}: {share:.3g} % of the samples are left out, as the command did not act: use less amplitude"
-    )
+    warning = f"{text}: {share:.3g} % of the samples are left out, as the command did not act: use less amplitude"
     left = replace(record, breaks=tuple(breaks), limited=None, warnings=(*record.warnings, warning), **given)
     if not left.segments():
         raise DataError(f"{text} so often that no stretch of {SHORTEST_STRETCH_S:g} s is left: reduce the amplitude")
