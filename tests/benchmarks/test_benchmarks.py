@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-COMMANDS = ("loop_cycle", "lateness", "plant", "recorder", "node", "live")
-NEED_C = ("loop_cycle", "lateness", "plant")
+COMMANDS = ("loop_cycle", "lateness", "plant", "identification", "recorder", "node", "live")
+NEED_C = ("loop_cycle", "lateness", "plant", "identification")
 UNAVAILABLE = 69
 
 
@@ -65,6 +65,15 @@ def test_the_plant_is_the_plant_in_c_bit_for_bit_at_its_cost():
     if facts:
         assert facts["differing parts"] == []
         assert facts["sub-step, numba over C"]["median"] < 1.8
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_the_simulation_of_the_model_is_that_in_c():
+    facts = sample("identification")
+    if facts:
+        assert facts["largest difference of the two"] < 1e-6
+        assert facts["simulation over the same in C"]["median"] < 1.8
 
 
 @pytest.mark.long

@@ -166,7 +166,7 @@ def against_c(report: Report, passes: int, progress: Any) -> None:
     current = identification_sequence(20.0, PERIOD_S, 0.3, 1.1, 0.05, 10.0).values
     state = AxisState(0.0, 0.0, REST)
     declarations = Declarations()
-    declarations.constants(friction, "OMEGA_", "STRIBECK_")
+    declarations.constants(friction, "OMEGA_", "STRIBECK_FLOOR", "PRESLIDING_OVER")
     declarations.record(AXIS)
     declarations.record(state)
     library = compile_c("axis.c", declarations.text)
