@@ -17,7 +17,6 @@ LIMIT_CONTROLLER = 1  # set by the loop: the controller's own current limit
 LIMIT_CURRENT = 2
 LIMIT_SLEW = 4
 LIMIT_I2T = 8
-ENVELOPE_LIMITS = LIMIT_CURRENT | LIMIT_SLEW | LIMIT_I2T  # with which it changed the command
 LIMIT_DRIVE = 16  # statusword bit 11: the drive limits internally
 
 TRIP_NONE = 0

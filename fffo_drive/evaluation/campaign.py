@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ..arrays import Floats
 from ..control.controller import ControllerConfig
-from ..control.envelope import ENVELOPE_LIMITS, TRIP_NONE, TRIP_TEXTS
+from ..control.envelope import LIMIT_CURRENT, LIMIT_I2T, LIMIT_SLEW, TRIP_NONE, TRIP_TEXTS
 from ..control.reference import Profile
 from ..drive.simulated.in_process import SimulatedDrive
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig
@@ -19,6 +19,8 @@ from .measures import Measures, Yardstick, measure
 from .metrics import Rows
 from .trace import Trace, trace_of
 from .workers import over_cores
+
+CHANGED_COMMAND = LIMIT_CURRENT | LIMIT_SLEW | LIMIT_I2T  # limits with which the envelope changed the command
 
 
 class Candidate(NamedTuple):
@@ -90,7 +92,7 @@ def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
         return Evaluation(candidate.name, case.seed, trip, None, ())
     trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
     found = evaluation_of(candidate.name, case.seed, trace, case.yardstick, case.cutouts_s)
-    changed = (rows["limits"] & ENVELOPE_LIMITS != 0) & (rows["profile_sample"] >= 0)
+    changed = (rows["limits"] & CHANGED_COMMAND != 0) & (rows["profile_sample"] >= 0)
     return found._replace(envelope_ticks=int(changed.sum()))
 
 

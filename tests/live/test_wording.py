@@ -60,7 +60,7 @@ def test_a_wait_is_a_number_in_its_range(name, value, problem):
         ),
         (
             "start", {"profile": {"kind": "x"}},
-            "profile: 'kind' 'x' is none of 'paper', 'sine', 'points', 'identify', 'frf', 'recipe', 'decide'",
+            "profile.kind: 'x' is none of 'paper', 'sine', 'points', 'identify', 'frf', 'recipe', 'decide'",
         ),
         (
             "start", {"profile": {"kind": "sine", "duration_s": 1e6, "amplitude": 1}},
