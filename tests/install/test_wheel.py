@@ -56,7 +56,7 @@ IN_PROCESS = (
     Typed("identify circle/identify.mcap circle/before.mcap --out model", "+-", "model/model.yaml"),
     Typed("tune model/model.yaml --axis short.yaml --out tuned", "phase margin", "tuned/short.yaml"),
     Typed(
-        "diagnose --fit circle/identify.mcap --held-out circle/before.mcap --out found",
+        "diagnose --fit circle/identify.mcap circle/other.mcap --held-out circle/before.mcap --out found",
         "model lacks: cogging",
         "found/model.yaml",
     ),
