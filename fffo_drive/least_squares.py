@@ -1,8 +1,8 @@
 """Least squares, linear and nonlinear, for identification, diagnosis and fleet.
 
-Linear by the normal equations of columns scaled to length one, whose eigenvalues tell what the columns determine.
-Nonlinear by damped Gauss-Newton steps (Levenberg, 1944; Marquardt, 1963). scipy.optimize.least_squares would hold the
-scale of Huber's loss and the kind of a step fixed; it needs 1.6 times as many Jacobians to the same minimum.
+Linear by the normal equations of columns scaled to length one, whose eigenvalues show what the columns determine.
+Nonlinear by damped Gauss-Newton steps (Levenberg, 1944; Marquardt, 1963). scipy.optimize.least_squares allows no
+change of the scale of Huber's loss and of the kind of step; it needs 1.6 times as many Jacobians to the same minimum.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ class Spectrum(NamedTuple):
     """Eigenvalues of one or several normal matrices of columns of length one: what the columns determine."""
 
     lengths: Floats  # (..., p) of the columns; inf for one that is left out
-    curvature: Floats  # (..., p) rising
-    directions: Floats  # (..., p, p) in columns
+    curvature: Floats  # (..., p) eigenvalues, ascending
+    directions: Floats  # (..., p, p) eigenvectors, in columns
 
     def known(self, share: float = SINGULAR) -> Mask:
         """Directions that are determined. (..., p)"""
         return np.asarray(self.curvature > share * self.curvature[..., -1:])
 
     def determined(self, share: float = SINGULAR) -> Mask:
-        """Parameters without a part in a direction that is not determined. (..., p)"""
+        """Parameters that have no component in an undetermined direction. (..., p)"""
         part = np.einsum("...ij,...j->...i", self.directions**2, self.known(share).astype(np.float64))
         return np.asarray(np.abs(part - 1.0) < share**0.5)
 
@@ -53,7 +53,7 @@ class Spectrum(NamedTuple):
         return np.asarray((self.directions / np.maximum(self.curvature, SINGULAR)) @ self.directions.T)
 
     def solution(self, moment: Floats, ridge: float = 0.0) -> Floats:
-        """Of the normal equations with this `moment` (p,) or (p, k): of what is not determined the smallest values.
+        """Of the normal equations with this `moment` (p,) or (p, k): the minimum-norm solution of scaled columns.
 
         `ridge`: a prior at zero, or the damping of a step, as a share of each column's squared length.
         """
@@ -75,7 +75,7 @@ class LinearFit(NamedTuple):
 
 
 def normal_equations(columns: Floats, target: Floats, weight: Floats | None = None) -> Normal:
-    """Of `columns` (m, p) for `target` (m,) or (m, k); `weight` (m,) of squares."""
+    """Of `columns` (m, p) for `target` (m,) or (m, k); `weight` (m,) of the squared residuals."""
     weighted = columns if weight is None else weight[:, None] * columns
     return Normal(weighted.T @ columns, weighted.T @ target)
 
@@ -89,7 +89,7 @@ def spectrum(matrix: Floats, dead: float = 0.0) -> Spectrum:
 
 
 def least_squares(columns: Floats, target: Floats, weight: Floats | None = None) -> LinearFit:
-    """`columns` (m, p) fitted to `target` (m,) or (m, k); `weight` (m,) of squares."""
+    """`columns` (m, p) fitted to `target` (m,) or (m, k); `weight` (m,) of the squared residuals."""
     normal = normal_equations(columns, target, weight)
     found = spectrum(normal.matrix)
     values = found.solution(normal.moment)
@@ -97,7 +97,7 @@ def least_squares(columns: Floats, target: Floats, weight: Floats | None = None)
 
 
 def sums_by(group: Integers, rows: Floats) -> Floats:
-    """Sums of the rows (m, k) of each number, by rising number. (groups, k)"""
+    """Sums of the rows (m, k) of each group, in ascending order of its number. (groups, k)"""
     sums = np.stack([np.bincount(group, column) for column in rows.T], axis=1)
     return np.asarray(sums[np.bincount(group) > 0])
 
@@ -110,7 +110,7 @@ def huber(errors: Floats, limit: float = HUBER) -> Floats:
 
 
 def huber_weights(errors: Floats, limit: float = HUBER) -> Floats:
-    """Weights (m,) of squares that stand for this loss: 1 inside, falling outside."""
+    """Weights (m,) of squared errors that give this loss its gradient: 1 up to `limit`, falling beyond."""
     return np.asarray(np.minimum(1.0, limit / np.maximum(np.abs(errors), 1e-300)))
 
 
@@ -131,7 +131,7 @@ def minimise(
     point: Point, about: Callable[[Point], tuple[float, Normal]], moved: Callable[[Point, Floats], tuple[Point, float]],
     rule: Rule, iterations: int, progress: Callable[[int], None] | None = None,
 ) -> tuple[Point, float, int, bool]:  # fmt: skip
-    """The point that damped Gauss-Newton steps lead to, its loss, the number of steps, and whether they ended there.
+    """The point that damped Gauss-Newton steps reach, its loss, the number of steps, and whether they converged.
 
     `about` gives the loss at a point and the normal equations of a step, with a zero row and column for a coordinate
     that may not move; `moved` makes a step, within its bounds, and gives the loss there.

@@ -197,8 +197,8 @@ def read_run(
 
     `facts`: what is declared about the drive, or the file with it; recordings contain it.
     `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. An incomplete recording
-    is read up to its last whole chunk, with a warning, and `.cut` says why; what is wrong in a table without making it
-    useless is a warning, too. Raises RecordingError or DocumentError.
+    is read up to its last complete chunk, with a warning, and `.cut` says why. Errors that leave a table usable are
+    warnings, too. Raises RecordingError or DocumentError.
     """
     if isinstance(source, Mapping):
         arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}

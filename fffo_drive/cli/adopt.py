@@ -4,9 +4,9 @@ The drive must be disabled. AXIS.adoptions.yaml records the previous model; --ro
 start (or `fffo-drive ctl reload` of a daemon) the controller compensates every effect that can be compensated, and a
 monitor takes an effect out of service if tracking is worse with it (controller.effects.monitor).
 
-Exit codes: 0 adopted (with --dry-run: all gates passed), 1 another gate refuses it, 65 held-out runs do not confirm it
-or are missing, 70 the axis's daemon has torque on, 74 the axis file cannot be written, 78 a file is missing or damaged,
-or the model is of another axis.
+Exit codes: 0 adopted (with --dry-run: all gates passed), 65 held-out runs do not confirm it or are missing, 70 the
+axis's daemon has torque on, 74 the axis file cannot be written, 78 a file is missing or damaged, or the model is of
+another axis, 1 any other gate refuses it.
 """
 
 from __future__ import annotations

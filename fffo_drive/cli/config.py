@@ -40,8 +40,8 @@ SCHEMAS: dict[str, Any] = {
     "scenario": ScenarioFile,
     "facts": DriveFacts,
 }
-LEAST_TEXT = 20  # characters of the last column, in a terminal however narrow
-EFFECTS_HEAD = "An effect is absent while every parameter of it that is marked (strength) is 0."
+LEAST_TEXT = 20  # characters of the last column, even in a narrower terminal
+EFFECTS_HEAD = "An effect is off while all its parameters marked (strength) are 0."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +86,7 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def aligned(rows: Sequence[Sequence[str]], widths: Sequence[int], indent: str = "") -> list[str]:
-    """Rows in columns of `widths`; the last column is wrapped to the terminal, and not in a pipe: grep takes lines."""
+    """Rows in columns of `widths`; the last one is wrapped to the terminal, but not in a pipe, for grep."""
     lines = []
     for row in rows:
         front = indent + "".join(f"{text:<{width + 2}}" for text, width in zip(row, widths, strict=False))

@@ -174,13 +174,13 @@ def _caution_about_fits(left: Sequence[float]) -> str:
     return (
         "The published laws have the gains, inertia torque and preview of pi+fffo+. Their friction models are fitted "
         "to one run on the same simulated axis and then given the scenario's model error. "
-        f"Friction that the fit leaves unexplained: {shares}. luenberger+ is a law after Ruderman (arXiv "
-        "2504.21316): its tangent stiffness, from the 2SEP fit, and the choice of its poles are this project's."
+        f"Friction that the fit leaves unexplained: {shares}. luenberger+ follows Ruderman (arXiv 2504.21316) in part: "
+        "its tangent stiffness, from the 2SEP fit, and the choice of its poles are this project's."
     )
 
 
 def caution_about_envelope(evaluations: Sequence[Evaluation], ticks: int) -> str:
-    """Where the envelope, which the published laws do not have, made a difference. `ticks`: of each controller."""
+    """How often the envelope, which the published laws lack, changed a command. `ticks`: of each controller."""
     counts: dict[str, int] = {}
     for one in evaluations:
         counts[one.candidate] = counts.get(one.candidate, 0) + (one.envelope_ticks or 0)

@@ -115,7 +115,7 @@ class TargetSection(StrictRecord):
             if axis > 1 and same in cls.standard:
                 raise ValueError(
                     f"0x{index:04X} is 0x{same:04X} of axis {axis} of a node. {FIRST_AXIS_ONLY}: connect this motor to "
-                    f"the first axis and take 0x{same:04X}"
+                    f"the first axis and use 0x{same:04X}"
                 )
             known = " or ".join(f"0x{known:04X}" for known in cls.standard)
             vendors = "a vendor's object of torque or current, 0x2000 to 0x5FFF"

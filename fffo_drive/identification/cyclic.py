@@ -107,8 +107,8 @@ def cyclic_error(records: Sequence[Record]) -> CyclicError | None:
     matrix = np.concatenate([np.cos(phase), np.sin(phase), velocity[:, None], offsets], axis=1)
     fit = least_squares(matrix, error)
     values, half = fit.values, fit.spectrum.basis()
-    turned = sums_by(window, fit.residual[:, None] * matrix) @ half  # what each window says, by independent columns
-    freedom = turned.shape[0] / max(1, turned.shape[0] - values.size)  # smaller for having been fitted
+    turned = sums_by(window, fit.residual[:, None] * matrix) @ half  # scores of each window, in orthonormal columns
+    freedom = turned.shape[0] / max(1, turned.shape[0] - values.size)  # the fitted residual is smaller than the noise
     covariance = freedom * half @ (turned.T @ turned) @ half.T
     orders = tuple(_order(k, highest, values, covariance) for k in range(1, highest + 1))
     classes = np.minimum((np.mod(angle, 1.0) * ANGLE_CLASSES).astype(np.int64), ANGLE_CLASSES - 1)

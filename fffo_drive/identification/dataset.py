@@ -155,7 +155,7 @@ def _told_limits(columns: Mapping[str, Any]) -> dict[str, Floats]:
 def where_command_acts(record: Record) -> Record:
     """The record without the samples at the drive's internal limit of current or voltage, gaps in their place.
 
-    There the current is not the command: a fit would read the missing torque as friction and inertia. Raises DataError
+    There the current is not the command: a fit would take the missing torque for friction and inertia. Raises DataError
     if too little is left.
     """
     if record.limited is None:
@@ -174,7 +174,7 @@ def where_command_acts(record: Record) -> Record:
         )
         if getattr(record, name) is not None
     }  # fmt: skip
-    warning = f"{text}: {share:.3g} % of the samples are left out, as the command did not act: use less amplitude"
+    warning = f"{text}: {share:.3g} % of the samples are left out, as current was not as commanded: use less amplitude"
     left = replace(record, breaks=tuple(breaks), limited=None, warnings=(*record.warnings, warning), **given)
     if not left.segments():
         raise DataError(f"{text} so often that no stretch of {SHORTEST_STRETCH_S:g} s is left: reduce the amplitude")

@@ -26,7 +26,7 @@ TITLES = {
     "torque_constant_nm_per_a": ("torque constant, Nm/A", 1.0),
     "inertia_share": ("inertia / (Th Kt / Gh)", 1.0),
     "slope": ("slope of the spectrum", 1.0),
-    "length_s": ("length of the draw, s", 1.0),
+    "length_s": ("length of the run, s", 1.0),
     "observer_nm_per_rev": ("L, Nm/rev", 1.0),
     "proportional_a_per_rps": ("Kp, A/rps", 1.0),
     "integral_time_s": ("Ti, s", 1.0),
@@ -106,7 +106,7 @@ def obstacles(data: dict[str, Any]) -> Figure:
         x, y = column["PI ISE"], column[label]
         axes.plot(ratios[:, x], ratios[:, y], ".", color=QUIET, markersize=4, alpha=0.6, label="points searched")
         others, best, paper = np.array([one["ratios"] for one in data["others"]]), data["best"]["ratios"], data["paper"]
-        axes.plot(others[:, x], others[:, y], "o", mfc="none", color=COLOURS["PI"], label="it, on each other draw")
+        axes.plot(others[:, x], others[:, y], "o", mfc="none", color=COLOURS["PI"], label="nearest, other draws")
         axes.plot(best[x], best[y], "o", color=COLOURS["PI"], label="nearest point")
         axes.plot(paper[x], paper[y], "*", color=COLOURS["PI+FBFO"], markersize=12, label="paper")
         axes.set(xlabel="PI ISE, % of PI+FFFO", ylabel=f"{label}, % of PI+FFFO")

@@ -54,7 +54,7 @@ def thinned(series: Series, most: int) -> tuple[Floats | Uniform, Floats, int]:
 
 
 def most_bridged(bucket: int) -> int:
-    """Points in a row that may be missing without breaking the line: a few samples, of decimated ones none."""
+    """Consecutive points that may be missing without breaking the line: a few samples; none if decimated."""
     return BRIDGED if bucket == 1 else 0
 
 

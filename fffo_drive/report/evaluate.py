@@ -200,7 +200,7 @@ def _interval_cell(summary: Summary, name: str, controller: str) -> Cell:
 
 
 def missing_text(summary: Summary, name: str, controller: str) -> str:
-    """Why there is no such figure of a controller, in a few words; empty: there is one.
+    """Why a controller has no such figure, in a few words; empty if it has one.
 
     A figure is compared only if every run of every controller has it.
     """
@@ -224,7 +224,7 @@ def missing_text(summary: Summary, name: str, controller: str) -> str:
 
 
 def _interval_note(summary: Summary, text: str) -> str:
-    """What the numbers of a table are."""
+    """Note under a table: what its numbers are, and whether they have intervals."""
     return f"{text}; one seed: no intervals." if len(summary.seeds) == 1 else f"{text}, below it its 95 % interval."
 
 

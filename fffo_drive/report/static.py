@@ -46,7 +46,7 @@ def write_figure(figure: Figure, path: Path, dark: bool = False) -> None:
 
 
 def write_figures(figures: Sequence[Figure], directory: Path) -> list[Path]:
-    """Each figure of a report as an SVG file of its name, in a directory that is made."""
+    """Each figure of a report as an SVG file with its name, in a directory that is created."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{figure.name}.svg" for figure in figures]
     for figure, view, path in zip(figures, views(figures), paths, strict=True):

@@ -1,4 +1,4 @@
-"""How each series is drawn, in px of the page. The page's script and the pictures only carry it out."""
+"""How each series is drawn, in px of the page. The page's script and the exported figures only apply it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a figure shows when nothing is zoomed: limits, ticks and their texts, decided once for page and picture."""
+"""What a figure shows when nothing is zoomed: limits, ticks and their texts; page and exported figures use the same."""
 
 from __future__ import annotations
 

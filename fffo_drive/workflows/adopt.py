@@ -1,4 +1,4 @@
-"""Put a diagnosed model in service on an axis if all gates pass: the axis file, its history, and the way back."""
+"""Put a diagnosed model in service on an axis if all gates pass: the axis file, its history, and the roll-back."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def adopt(
 
 
 def read_report(model_path: Path, given: Path | None) -> dict[str, Any] | None:
-    """The report of the diagnosis that wrote the model: given, or beside it. Raises DocumentError for a broken one."""
+    """The report of the diagnosis that wrote the model: given, or beside it. Raises DocumentError if it is damaged."""
     path = given or model_path.parent / "report.json"
     if not path.exists():
         if given is not None:

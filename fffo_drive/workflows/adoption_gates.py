@@ -1,7 +1,8 @@
 """Whether a diagnosed model may be put in service on an axis: gates, each with its reason.
 
-A gate looks at one thing that can go wrong: that the effects are not there (held-out error, intervals), that they are
-beyond their bounds, that the loop loses its proof, that the drive moves while its model is exchanged.
+Each gate checks one thing that can go wrong: the effects do not exist (held-out error, intervals), a parameter is out
+of range, no effect can be compensated, the loop loses its stability condition or margins, the model is of another axis,
+or the drive has torque while its model is changed.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Gate(NamedTuple):
 
 
 def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
-    """The error on runs that the effects were not chosen on has fallen, and its interval lies below what it was."""
+    """The error on the held-out runs has fallen, clearly: by one of the two intervals, or where an effect acts."""
     if report is None:
         return Gate(HELD_OUT, False, "there is no report.json of `fffo-drive diagnose` next to the model")
     if report.get("verdict") == NOTHING_CARRIES_OVER:
@@ -64,7 +65,7 @@ def held_out_gate(report: Mapping[str, Any] | None) -> Gate:
 
 
 def _torque_rms_nm(figures: Mapping[str, Any] | None) -> float:
-    """NaN, which is less than nothing, where a report has no number."""
+    """NaN where a report has no number: every comparison with it is false."""
     return _finite((figures or {}).get("torque_rms_nm"), math.nan)
 
 
@@ -74,13 +75,13 @@ def _finite(value: Any, otherwise: float) -> float:
 
 
 def rest_gate(report: Mapping[str, Any] | None) -> Gate | None:
-    """What the diagnosis could not explain: shown, and no reason to refuse what it could. None: nothing is left."""
+    """What the diagnosis could not explain: shown only, it refuses nothing. None: nothing is left."""
     rest = (report or {}).get("unexplained_rest")
     return None if not rest else Gate("unexplained rest", True, str(rest["sentence"]))
 
 
 def interval_gate(effect: EffectModel, linear: bool = False) -> Gate:
-    """Strengths differ from zero: the wave of a pair as a whole, at least one of several alone."""
+    """The strengths together differ from zero: the root of the sum of (value / sd)² exceeds 1.96 sqrt(number)."""
     law = law_of(effect.name)
     strengths = []
     quantities = effect.quantities()
@@ -135,7 +136,7 @@ def stability_gate(axis: AxisFile, model: ModelFile) -> Gate:
 
 
 def same_axis_gate(in_service: ModelFile, model: ModelFile) -> Gate:
-    """The model is one of this axis: its torque constant, with which all torques scale, and about its inertia."""
+    """The model is of this axis: the same torque constant, and about the same inertia and Coulomb friction."""
     ours, theirs = in_service.torque_constant_nm_per_a, model.torque_constant_nm_per_a
     same = math.isclose(ours, theirs, rel_tol=1e-3)
     said = [f"torque constant {theirs:g} Nm/A, in service {ours:g}"]
@@ -183,6 +184,6 @@ def gates(
 
 
 def refused_effects(model: ModelFile, found: Sequence[Gate]) -> list[str]:
-    """Names of effects whose own gates refuse them: out of service, they do not stand in the way of the others."""
+    """Names of effects whose own gates refuse them. Without these, the other effects can be adopted."""
     names = {gate.name.rpartition(": ")[0] for gate in found if not gate.passed}
     return [name for name in dict.fromkeys(effect.name for effect in model.effects) if name in names]

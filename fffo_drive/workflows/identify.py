@@ -25,7 +25,7 @@ class Identified:
     """Result of `identify`."""
 
     model: ModelFile
-    records: list[Record]  # that were fitted: without what the drive's own limit spoilt
+    records: list[Record]  # as fitted: without samples at the drive's own limit
     fit: Fit
     residuals: list[RunResidual]
     coverage: Coverage

@@ -79,12 +79,12 @@ def tune(
 def undetermined(model: ModelFile) -> list[str]:
     """A sentence for each of inertia and Coulomb friction that the data of a fitted model hardly determine.
 
-    An excitation that hardly breaks the axis away fits any viscous friction with any Coulomb friction: the margins are
-    then those of another axis, and the feed-forward torque may be several times the friction.
+    If the excitation hardly moved the axis, many pairs of viscous and Coulomb friction fit its data equally well: the
+    margins may then be wrong, and the feed-forward torque may be several times the friction.
     """
     return [
         f"the data of the model do not determine {what}, {quantity.value:.3g} +- {quantity.sd:.2g} {unit} "
-        f"({ADVICE[key][0]}): these may be gains for another axis. Record {ADVICE[key][1]}, with more current, and "
+        f"({ADVICE[key][0]}): the gains may be wrong for this axis. Record {ADVICE[key][1]}, with more current, and "
         "identify again"
         for key, what, quantity, unit in (
             ("inertia_nm_s2_per_rev", "inertia J", model.inertia_kg_m2, "kg m2"),

@@ -143,7 +143,7 @@ def test_what_the_drive_lacks_is_named_or_replaced():
 def test_a_node_with_a_second_axis_says_which_one_is_driven():
     assert facts_of(plain_drive()).remarks == ()
     (said,) = facts_of(plain_drive({(0x6841, 0): b"\x40\x02"})).remarks
-    assert said.startswith("the node has another axis (0x6841). Of a node only the first axis (0x6000 to 0x67FF)")
+    assert said.startswith("the node has another axis (0x6841). Only the first axis of a node (0x6000 to 0x67FF)")
 
 
 def test_the_files_are_read_by_every_command_and_hold_what_is_known(tmp_path):

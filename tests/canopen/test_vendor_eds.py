@@ -226,7 +226,7 @@ def test_drive_info_says_that_of_two_axes_the_first_is_used(tmp_path: Path, caps
     path.write_text(Path(path_of("capitals")).read_text(encoding="latin-1") + second, encoding="latin-1")
     assert main(["drive-info", str(path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "the node has another axis (0x6841). Of a node only the first axis (0x6000 to 0x67FF) can be driven" in said
+    assert "the node has another axis (0x6841). Only the first axis of a node (0x6000 to 0x67FF) can be driven" in said
 
 
 def test_drive_info_of_what_is_no_eds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

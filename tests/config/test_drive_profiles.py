@@ -158,7 +158,7 @@ def test_a_mistake_in_a_profile_names_its_file_and_line(tmp_path: Path) -> None:
             {"torque_feedback": {"object": 0x6877}},
             r"drive.torque_feedback.object: 0x6877 is 0x6077 of axis 2 of a node",
         ),
-        ({"target": {"object": 0x7071}}, r"0x7071 is 0x6071 of axis 3 .* only the first axis .* take 0x6071"),
+        ({"target": {"object": 0x7071}}, r"0x7071 is 0x6071 of axis 3 .* Only the first axis .* use 0x6071"),
         ({"target": {"object": 0x6877}}, "0x6877 is neither"),
         ({"silence_detection": "vendor"}, "the objects that set it belong in sdo"),
         ({"mode": 8}, "mode 8: 10, 4, or a negative one"),

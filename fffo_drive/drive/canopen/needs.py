@@ -20,7 +20,7 @@ MODE_NAMES = {
 }  # fmt: skip
 
 
-FIRST_AXIS_ONLY = "Of a node only the first axis (0x6000 to 0x67FF) can be driven"
+FIRST_AXIS_ONLY = "Only the first axis of a node (0x6000 to 0x67FF) can be driven"
 
 
 class FileObjects:

@@ -1,14 +1,14 @@
 """One procedure for all laws: the largest integral action with the required margins on the linear axis.
 
-Laws with a friction model on the reference have the loop of PI plus L (identification.tuning chooses it). A law with a
-disturbance observer has, as has the friction observer on the position in sliding,
+Laws with a friction model driven by the reference have the loop of PI plus L, designed by identification.tuning. For a
+law with a disturbance observer, and in sliding for the friction observer that measures the position,
 
     T = -C(s) w,   C = (C0 / (1 + Tf s) + Q J s exp(Tx s)) / (1 - Q exp(-(Td - Tx) s)),   C0 = Kp Kt (1 + 1 / (Ti s))
     open loop  C exp(-Td s) / (J s + D),   Q = product of wi / (s + wi)
 
-with Tf of the error's filter, which is outside the observer, and Tx by which the observer's measurement is less late
-than the velocity in the error. It rejects a slow disturbance like an integral with gain Kp Kt / (sum of 1 / wi + Td -
-Tx); 1 / Ti, where there is one, stays as it is.
+Tf is the time constant of the error's filter, which is outside the observer. Tx is the lag of the velocity in the error
+behind the observer's measurement. The loop rejects a slow disturbance like an integral with gain
+Kp Kt / (sum of 1 / wi + Td - Tx). 1 / Ti of a PI is given and does not change.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def observer_gains(axis: LinearAxis, form: ObserverForm, wish: Wish, error_filte
 
 
 def _integral_action(axis: LinearAxis, form: ObserverForm, gains: ObserverGains) -> float:
-    """Kp over the time by which the observer is behind a slow disturbance."""
+    """Kp over the lag of the observer behind a slow disturbance."""
     behind_s = sum(1.0 / (gains.bandwidth_rad_per_s + beyond) for beyond in form.beyond_rad_per_s)
     return gains.proportional_a_per_rps / (behind_s + axis.delay_s - form.earlier_s)
 

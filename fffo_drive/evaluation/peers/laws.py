@@ -274,7 +274,7 @@ def _observer_loop(
 def _luenberger_loop(
     peer: PeerConfig, plus: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
 ) -> LuenbergerLoop:
-    """The further pole is the axis's own: with the stiffness of its friction, the eigenvalues stay real."""
+    """The faster pole follows from the stiffness of this axis's friction, so that the eigenvalues stay real."""
     proportional, slow_rad_per_s = _scaled_gains(design, axis, design.friction_state)
     form = friction_form(plus, axis, friction)
     return LuenbergerLoop(

@@ -1,4 +1,4 @@
-"""PI with the reduced-order observer of friction after Ruderman (arXiv 2504.21316, Control Engineering Practice; its
+"""PI with a reduced-order friction observer modelled on Ruderman's (arXiv 2504.21316, Control Engineering Practice; its
 predecessor arXiv 2305.15870, IFAC World Congress 2023).
 
 In the publication: the displacement x is the only measurement. A reduced-order Luenberger observer estimates velocity w
@@ -8,14 +8,14 @@ feedback controller:
 
     J dw/dt = Kt i(t - Td) - F + J l1 (dx/dt - w),    dF/dt = k w + l2 (dx/dt - w)
 
-Its equation of k and its rule for the gains were not available; both are this project's. k is the slope of the
-hysteresis branch on which the 2SEP model (Ruderman's FFFO, fitted as for the other laws) is along the estimated
-velocity. It is at most kmax = (Fc + Fs) K + 2 B, after a reversal from breakaway, and never negative: a branch that
-falls after breakaway has k = 0.
+Its equation of k and its rule for the gains were not available; both are this project's. k is the
+present slope of the hysteresis of the 2SEP model, fitted as for the other laws, driven by the estimated velocity. k is
+at most kmax = (Fc + Fs) K + 2 B, after a reversal from breakaway, and never negative: where friction falls after
+breakaway, k = 0.
 
 With l1 = p + q and l2 = -J p q the eigenvalues are the roots of s^2 + (p + q) s + p q + k / J: -p and -q in sliding,
-and real up to kmax with q = p + 2 sqrt(kmax / J). -p is then the slowest of all. p has the margins of PI+FFFO+, as the
-bandwidth of the disturbance observers has (design.py).
+and real up to kmax with q = p + 2 sqrt(kmax / J). -p is then the slowest of all. p is chosen for the margins
+of PI+FFFO+, as the bandwidth of the disturbance observers is (design.py).
 
 One step is exact for a k and a torque that are constant over a period: the axis moves as inertia on a spring, and the
 gains are such that an error of the estimate changes by exp(eigenvalue h).
@@ -65,7 +65,7 @@ def further_pole_rad_per_s(model: FrictionConfig, inertia_nm_s2_per_rev: float) 
 
 @njit
 def tangent_stiffness(model: FrictionConfig, before: FrictionState, after: FrictionState, moved_rev: float) -> float:
-    """k in Nm/rev, from 0 to kmax: mean slope of the model's friction over a way of `moved_rev`."""
+    """k in Nm/rev, from 0 to kmax: mean slope of the model's friction over a distance `moved_rev`."""
     if moved_rev == 0.0:
         return 0.0
     return min(max(0.0, (after.torque_nm - before.torque_nm) / moved_rev), stiffest_nm_per_rev(model))
@@ -75,7 +75,7 @@ def tangent_stiffness(model: FrictionConfig, before: FrictionState, after: Frict
 def eigenvalues(
     slow_rad_per_s: float, fast_rad_per_s: float, inertia_nm_s2_per_rev: float, stiffness: float
 ) -> tuple[float, float]:
-    """Both, in 1/s, of the error of the estimate at a tangent stiffness (Nm/rev) up to kmax."""
+    """Both eigenvalues (1/s) of the estimation error at a tangent stiffness (Nm/rev) up to kmax."""
     middle = 0.5 * (slow_rad_per_s + fast_rad_per_s)
     half = 0.5 * (fast_rad_per_s - slow_rad_per_s)
     apart = math.sqrt(max(0.0, half * half - stiffness / inertia_nm_s2_per_rev))
@@ -98,7 +98,7 @@ def estimate_after(
     """
     first, second = eigenvalues(slow_rad_per_s, fast_rad_per_s, inertia_nm_s2_per_rev, stiffness)
     first, second = math.exp(first * period_s), math.exp(second * period_s)
-    # without an error: a turn of inertia on a spring, about the point where friction carries the torque
+    # without an error: inertia on a spring, oscillating about the point where friction equals the torque
     turn = math.sqrt(stiffness / inertia_nm_s2_per_rev) * period_s
     cosine = math.cos(turn)
     per_velocity_s = period_s * _sine_over(turn)
@@ -107,7 +107,7 @@ def estimate_after(
     unexpected_rev = moved_rev - per_velocity_s * velocity_rps + per_torque * excess_nm
     after_rps = cosine * velocity_rps - per_velocity_s / inertia_nm_s2_per_rev * excess_nm
     after_nm = torque_nm + cosine * excess_nm + stiffness * per_velocity_s * velocity_rps
-    # gains that give the error's matrix over the period the eigenvalues `first` and `second`
+    # gains for which the error's transition matrix over a period has the eigenvalues `first` and `second`
     product, total = first * second, first + second
     gain_per_s = (1.0 + 2.0 * cosine - product - total) / (2.0 * per_velocity_s)
     gain_nm_per_rev = (1.0 - 2.0 * cosine + total - product) / (2.0 * per_torque)
