@@ -123,7 +123,7 @@ def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
 
 def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:
     """As `load_record`, of a log that was read. `digest`: of its file. Raises DataError."""
-    columns = _told_limits({name: log.columns[name] for name in TAKEN if name in log.columns})
+    columns = _with_limit_column({name: log.columns[name] for name in TAKEN if name in log.columns})
     warnings = list(log.warnings) if isinstance(log, LogTable) else ([log.reason] if log.reason else [])
     fresh = None
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
@@ -136,12 +136,12 @@ def record_of_columns(
     name: str, columns: Mapping[str, Floats], facts: DriveFacts, warnings: Sequence[str] = ()
 ) -> Record:
     """As `load_record`, of columns (n,) by our names, `time_s` among them. Raises DataError."""
-    own = _told_limits(columns)
+    own = _with_limit_column(columns)
     digest = hashlib.sha256(b"".join(own[key].tobytes() for key in sorted(own))).hexdigest()
     return _record(Path(name), own, None, facts, list(warnings), digest)
 
 
-def _told_limits(columns: Mapping[str, Any]) -> dict[str, Floats]:
+def _with_limit_column(columns: Mapping[str, Any]) -> dict[str, Floats]:
     """The columns as numbers; bit 11 of the statusword as a column that may be interpolated (CiA 402)."""
     own = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in columns.items()}
     statusword = own.pop("statusword", None)
