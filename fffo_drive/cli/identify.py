@@ -19,7 +19,7 @@ from typing import Any
 
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
-from ..identification.dataset import load_records
+from ..identification.dataset import load_records, where_command_acts
 from ..identification.results import INERTIA
 from ..model.parameters import write_model
 from ..report.identify import IdentifySource, identify_report, tune_command
@@ -54,12 +54,14 @@ def execute(options: argparse.Namespace) -> int:
     facts = facts_for(options.drive, options.logs)
     out = Path(options.out)
     refuse_other_report(out, "identify", MODEL_NAME)
-    records = load_records(options.logs, facts)
+    records = [where_command_acts(record) for record in load_records(options.logs, facts)]
+    for record in records:
+        for warning in record.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
     prior = prior_of(options, options.logs, facts)
     with progress_bar("identify", options.json) as bar:
         name = options.name or out.resolve().name
         found = identify(records, facts, name, None if bar is None else bar, prior)
-        records = found.records
         out.mkdir(parents=True, exist_ok=True)
         write_model(out / MODEL_NAME, found.model)
         source = IdentifySource(name, facts, Path(options.drive) if options.drive else None, out / MODEL_NAME)
@@ -67,9 +69,6 @@ def execute(options: argparse.Namespace) -> int:
             source, found.fit, records, found.residuals, found.result, found.coverage, found.cyclic, prior
         )
         paths = write_report(page, out)
-    for record in records:
-        for warning in record.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
     if options.svg:
         from ..report.static import write_figures  # loads slowly
 

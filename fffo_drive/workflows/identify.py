@@ -25,7 +25,6 @@ class Identified:
     """Result of `identify`."""
 
     model: ModelFile
-    records: list[Record]  # as fitted: without samples at the drive's own limit
     fit: Fit
     residuals: list[RunResidual]
     coverage: Coverage
@@ -75,4 +74,4 @@ def identify(
         model = with_population(model, fit, prior)
         if prior.other_population:
             result["warnings"].append(prior.sentence())
-    return Identified(model, records, fit, residuals, coverage, cyclic, result)
+    return Identified(model, fit, residuals, coverage, cyclic, result)
