@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -23,25 +23,31 @@ from trial_axes.random_axis import SPREAD, random_axis
 
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.config.sections import VelocitySection
 from fffo_drive.drive.simulated.parameters import PlantConfig
 from fffo_drive.drive.simulated.surfaces import KINDS
 from fffo_drive.evaluation.campaign import Case
 from fffo_drive.evaluation.compare import SeedInterval, ratio_interval
-from fffo_drive.evaluation.peers.campaign import FIT_SEED, fitted_models
+from fffo_drive.evaluation.peers.campaign import FIT_SEED, friction_record
+from fffo_drive.evaluation.peers.fit import fit_two_surfaces
 from fffo_drive.evaluation.peers.laws import (
     OWN_LAWS,
     PLUS,
+    AxisNumbers,
     Models,
     PeerDesign,
     Scale,
     axis_numbers,
     design_for,
+    fit_models,
     laws_of,
     scaled,
     wrong,
 )
-from fffo_drive.evaluation.peers.loop import run_law
+from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
 from fffo_drive.evaluation.peers.measures import PeerMeasures, measure_peer
+from fffo_drive.evaluation.peers.plus import on_the_estimate, with_second_surface
+from fffo_drive.evaluation.workers import over_cores
 
 HERE = Path(__file__).resolve().parent
 SCENARIO = HERE.parents[1] / "configs" / "scenarios" / "paper.yaml"
@@ -52,6 +58,16 @@ AXIS_FIRST_SEED = 5000  # of the reference's phases there; the paper's scenario 
 MISMATCH = 0.1  # of every friction number, as in paper_wrong_friction.yaml
 LEVEL = 0.95
 TITLES = dict(zip(KINDS, ("five surfaces", "2SEP", "LuGre", "GMS"), strict=True))
+
+BANDWIDTH_HZ = VelocitySection().bandwidth_hz  # of the estimate: with it the command is as noisy as without
+WIDER_HZ = 300.0
+ESTIMATED = f"{PLUS} estimated"
+SECOND = f"{PLUS} second surface"
+BOTH = f"{PLUS} both"
+BOTH_WIDER = f"{PLUS} both, {WIDER_HZ:.0f} Hz"
+VARIANTS = (ESTIMATED, SECOND, BOTH, BOTH_WIDER)
+LUGRE, GMS = "lugre forward+", "gms forward+"
+ESTIMATED_PEERS = (f"{LUGRE} estimated", f"{GMS} estimated")
 
 Runs = dict[str, list[PeerMeasures]]  # by law; one entry a seed or an axis
 
@@ -86,13 +102,35 @@ def ground_of(scenario: Scenario, kind: str, record_s: float | None) -> Ground:
     """The nominal plant of a kind, and all models fitted to a run on it that follows the reference."""
     case = case_of(with_reference(scenario, 0.0, record_s), FIT_SEED)
     plant = replace(case.plant, friction=replace(case.plant.friction, kind=kind))
-    return Ground(plant, *fitted_models(case._replace(plant=plant)))
+    record = friction_record(case._replace(plant=plant))
+    models, left = fit_models(*record)
+    both = fit_two_surfaces(models.two_state, *record)
+    return Ground(plant, models._replace(two_surfaces=both.model), (*left, both.left))
 
 
 def run_all(case: Case, plant: PlantConfig, design: PeerDesign, models: Models) -> dict[str, PeerMeasures]:
     """All laws on one plant."""
-    laws = laws_of(case.candidates, design, axis_numbers(plant), models)
+    axis = axis_numbers(plant)
+    laws = laws_of(case.candidates, design, axis, models)
+    laws += variants({law.name: law for law in laws}, case, design, axis, models)
     return {law.name: measure_peer(run_law(plant, case.device, law, case.profile).trace) for law in laws}
+
+
+def variants(
+    laws: dict[str, PeerLaw], case: Case, design: PeerDesign, axis: AxisNumbers, models: Models
+) -> list[PeerLaw]:
+    """PI+FFFO+ with what it does not have by default, and the two nearest published laws with the estimate."""
+    assert models.two_surfaces is not None
+    limits = case.session.envelope
+
+    def estimated(law: PeerLaw, bandwidth_hz: float = BANDWIDTH_HZ) -> PeerLaw:
+        return on_the_estimate(law, design, axis, bandwidth_hz, (limits.speed_limit_rps, limits.following_error_rps))
+
+    plus = laws[PLUS]
+    second = with_second_surface(plus, axis, models.two_surfaces)
+    found = [estimated(plus), second, estimated(second), estimated(second, WIDER_HZ)]
+    found += [estimated(laws[name]) for name in (LUGRE, GMS)]
+    return [law._replace(name=name) for law, name in zip(found, (*VARIANTS, *ESTIMATED_PEERS), strict=True)]
 
 
 def scenario_runs(scenario: Scenario, ground: Ground, design: PeerDesign, slope: float, sizes: Sizes) -> Runs:
@@ -114,28 +152,49 @@ def axis_of(ground: Ground, number: int) -> tuple[PlantConfig, Scale]:
     return replace(plant, friction=ground.plant.friction.scaled(**scale._asdict())), scale
 
 
+class AxisTask(NamedTuple):
+    """One random axis for all laws."""
+
+    scenario: Scenario
+    ground: Ground
+    design: PeerDesign
+    number: int
+    record_s: float
+
+
+def run_axis(task: AxisTask) -> dict[str, PeerMeasures]:
+    """All laws on one random axis."""
+    plant, scale = axis_of(task.ground, task.number)
+    seed = AXIS_FIRST_SEED + task.number
+    case = case_of(with_reference(task.scenario, 0.0, task.record_s), seed)
+    return run_all(case, plant, task.design, wrong(scaled(task.ground.models, scale), MISMATCH, seed))
+
+
 def axis_runs(
     scenario: Scenario, ground: Ground, design: PeerDesign, sizes: Sizes
 ) -> tuple[list[int], list[int], Runs]:
     """Numbers of the axes that ran, of those left out because they give energy, and the runs."""
-    runs: Runs = {}
     ran: list[int] = []
     active: list[int] = []
-    number = -1
-    while len(ran) < sizes.axes:
-        number += 1
-        plant, scale = axis_of(ground, number)
-        if plant.errors():
-            continue
-        if not comes_to_rest(plant):
-            active.append(number)
-            continue
-        duration_s = AXIS_RECORD_S if sizes.record_s is None else sizes.record_s
-        case = case_of(with_reference(scenario, 0.0, duration_s), AXIS_FIRST_SEED + number)
-        models = wrong(scaled(ground.models, scale), MISMATCH, AXIS_FIRST_SEED + number)
-        for name, measures in run_all(case, plant, design, models).items():
+    duration_s = AXIS_RECORD_S if sizes.record_s is None else sizes.record_s
+
+    def tasks() -> Iterator[AxisTask]:
+        number = -1
+        while len(ran) < sizes.axes:
+            number += 1
+            plant, _ = axis_of(ground, number)
+            if plant.errors():
+                continue
+            if not comes_to_rest(plant):
+                active.append(number)
+                continue
+            ran.append(number)
+            yield AxisTask(scenario, ground, design, number, duration_s)
+
+    runs: Runs = {}
+    for found in over_cores(run_axis, tasks()):
+        for name, measures in found.items():
             runs.setdefault(name, []).append(measures)
-        ran.append(number)
     return ran, active, runs
 
 
@@ -178,17 +237,22 @@ def scenario_table(runs: Runs) -> list[str]:
     return [*lines, ""]
 
 
+def published(runs: Runs) -> list[str]:
+    """The laws that are no form of this project's, as published."""
+    return [law for law in runs if law not in (*OWN_LAWS, *VARIANTS, *ESTIMATED_PEERS)]
+
+
 def better_than_plus(runs: Runs, name: str) -> list[str]:
-    """Laws whose interval of a measure, over that of PI+FFFO+, lies below one."""
+    """Published laws whose interval of a measure, over that of PI+FFFO+, lies below one."""
     others = column(runs, PLUS, name)
-    return [law for law in runs if law != PLUS and ratio_interval(column(runs, law, name), others).high < 1.0]
+    return [law for law in published(runs) if ratio_interval(column(runs, law, name), others).high < 1.0]
 
 
 def said_of(runs: Runs) -> str:
     """In words: which laws are better than PI+FFFO+, with and without the start."""
     better = {name: better_than_plus(runs, name) for name in ("true_ise", "after_ise")}
     if not any(better.values()):
-        return "No law is significantly better than PI+FFFO+ (whole interval)."
+        return "No published law is significantly better than PI+FFFO+ (whole interval)."
     return (
         f"Better than PI+FFFO+ by the whole interval: {', '.join(better['true_ise']) or 'none'} over the whole record; "
         f"{', '.join(better['after_ise']) or 'none'} after its first 2 s."
@@ -201,22 +265,34 @@ def share_of(won: np.ndarray) -> str:
     return f"{100 * won.mean():.0f} % [{100 * found.low:.0f}, {100 * found.high:.0f}]"
 
 
-def axes_table(found: dict[str, Runs]) -> list[str]:
-    """On how many axes PI+FFFO+ is better than each law, and than all peers: a column a plant."""
-    lines = ["| PI+FFFO+ has less true ISE than | " + " | ".join(TITLES[kind] for kind in found) + " |"]
+def axes_table(found: dict[str, Runs], own: str) -> list[str]:
+    """On how many axes a law of this project is better than each published law and its own simpler ones."""
+    lines = [f"| {own} has less true ISE than | " + " | ".join(TITLES[kind] for kind in found) + " |"]
     lines.append("|---|" + "---|" * len(found))
-    laws = [law for law in next(iter(found.values())) if law != PLUS]
-    for law in laws:
+    for law in next(iter(found.values())):
+        if law == own or law in VARIANTS:
+            continue
         cells = []
         for runs in found.values():
-            own, other = column(runs, PLUS, "true_ise"), column(runs, law, "true_ise")
-            cells.append(f"{share_of(own < other)}; {np.median(other / own):.2g} x")
+            this, other = column(runs, own, "true_ise"), column(runs, law, "true_ise")
+            cells.append(f"{share_of(this < other)}; {np.median(other / this):.2g} x")
         lines.append(f"| {law} | " + " | ".join(cells) + " |")
-    cells = []
-    for runs in found.values():
-        peers = np.min([column(runs, law, "true_ise") for law in laws if law not in OWN_LAWS], axis=0)
-        cells.append(share_of(column(runs, PLUS, "true_ise") < peers))
-    return [*lines, "| **all peers** | " + " | ".join(cells) + " |", ""]
+    return [*lines, ""]
+
+
+def best_table(found: dict[str, Runs]) -> list[str]:
+    """On how many axes each form of PI+FFFO+ is better than all published laws, and how much its command is noise."""
+    lines = ["| less true ISE than all published laws | " + " | ".join(TITLES[kind] for kind in found) + " |"]
+    lines.append("|---|" + "---|" * len(found))
+    for own in (PLUS, *VARIANTS):
+        cells = []
+        for runs in found.values():
+            peers = [column(runs, law, "true_ise") for law in published(runs)]
+            steps = column(runs, own, "step_rms_a") / column(runs, PLUS, "step_rms_a")
+            share = share_of(column(runs, own, "true_ise") < np.min(peers, axis=0))
+            cells.append(f"{share}; {np.median(steps):.2f} x")
+        lines.append(f"| {own} | " + " | ".join(cells) + " |")
+    return [*lines, "", f"x: median over axes of the step of the command, over that of {PLUS}.", ""]
 
 
 def design_table(design: PeerDesign) -> list[str]:
@@ -239,7 +315,7 @@ def design_table(design: PeerDesign) -> list[str]:
 
 def fit_table(grounds: dict[str, Ground]) -> list[str]:
     """Share of each plant's friction that each model leaves unexplained."""
-    lines = ["| plant | 2SEP leaves | LuGre | GMS |", "|---|---|---|---|"]
+    lines = ["| plant | 2SEP leaves | LuGre | GMS | 2SEP with a second surface |", "|---|---|---|---|---|"]
     lines += [
         f"| {TITLES[kind]} | " + " | ".join(f"{100 * left:.1f} %" for left in ground.left) + " |"
         for kind, ground in grounds.items()
@@ -278,7 +354,8 @@ def compare(sizes: Sizes, shown: bool) -> tuple[list[str], dict[str, object]]:
             counted.append(f"- {TITLES[kind]}: axes up to number {ran[-1]}; not passive and left out: {named}.")
             if progress is not None:
                 progress((place + 1) / len(grounds))
-    lines += [f"## Random passive axes: {sizes.axes} on each plant", "", *axes_table(on_axes), *counted, ""]
+    lines += [f"## Random passive axes: {sizes.axes} on each plant", ""]
+    lines += [*best_table(on_axes), *axes_table(on_axes, PLUS), *axes_table(on_axes, BOTH), *counted, ""]
     facts["axes"] = {kind: {law: len(runs[law]) for law in runs} for kind, runs in on_axes.items()}
     return lines, facts
 
@@ -297,12 +374,16 @@ def preface(made_from: str, seconds: float) -> list[str]:
         "friction estimate. `luenberger+` is PI with a law after Ruderman (arXiv 2504.21316): from there are the",
         "reduced-order observer of velocity and friction on the position, its real eigenvalues and an assigned slowest",
         "pole; its tangent stiffness (of the fitted 2SEP model) and the choice of its poles are this project's.",
+        f"`{ESTIMATED}` is PI+FFFO+ on the velocity estimated from position and torque ({BANDWIDTH_HZ:g} Hz, the "
+        "default) at the",
+        f"same margins; `{SECOND}` has the effect second_surface beside the 2SEP model; `both` has both. The peers",
+        f"are as published; `{ESTIMATED_PEERS[0]}` and `{ESTIMATED_PEERS[1]}` have this estimate too.",
         "Intervals are 95 %: over resampled seeds, and Wilson's for shares of axes.",
         "",
         "A random axis has inertia, torque constant, delay, sensor and effects of trial_axes/random_axis, and friction",
         f"parameters within {100 * SPREAD:.0f} % of the plant's. The laws know inertia, torque constant and delay",
-        "without effects, and their gains are scaled with them; they do not know the effects. x: median over axes of a",
-        "law's true ISE over that of PI+FFFO+. The peers' loop has the law's current limit, but no envelope.",
+        "without effects, and their gains are scaled with them; they do not know the effects. x: median over axes of",
+        "the other law's true ISE over that of this one. The peers' loop has the law's current limit, but no envelope.",
         "",
         f"Made by tools/benchmarks/control_peers.py on {time.strftime('%Y-%m-%d')}, commit {made_from}, {machine()};",
         f"{seconds:.0f} s.",

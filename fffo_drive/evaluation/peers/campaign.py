@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ...arrays import Floats
 from ..campaign import Candidate, Case, Evaluation, evaluation_of
 from .laws import PLUS, Models, design_for, fit_models, known_numbers, peers_of, with_friction, wrong
 from .loop import PeerLaw, run_law
@@ -22,15 +23,28 @@ class FittedModels(NamedTuple):
     left: tuple[float, ...]  # share of the friction (rms) that each of them leaves
 
 
-def fitted_models(case: Case) -> FittedModels:
-    """The models along one run of PI+FFFO+ on the axis of a case, which follows the reference.
+class FrictionRecord(NamedTuple):
+    """What the models are fitted to, arrays (n,)."""
+
+    velocity_rps: Floats  # of the shaft
+    friction_nm: Floats  # the plant's own
+    period_s: float
+
+
+def friction_record(case: Case) -> FrictionRecord:
+    """One run of PI+FFFO+ on the axis of a case, which follows the reference.
 
     Raises ValueError if the case has no such controller.
     """
     follower = plus_of(case)
     ran = run_law(case.plant, case.device, PeerLaw(PLUS, follower.controller, follower.toggle), case.profile)
     assert ran.trace.true_rps is not None
-    return FittedModels(*fit_models(ran.trace.true_rps, ran.friction_nm, case.profile.period_s))
+    return FrictionRecord(ran.trace.true_rps, ran.friction_nm, case.profile.period_s)
+
+
+def fitted_models(case: Case) -> FittedModels:
+    """The models along `friction_record`. Raises ValueError as it does."""
+    return FittedModels(*fit_models(*friction_record(case)))
 
 
 def plus_of(case: Case) -> Candidate:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ...arrays import Floats
 from ...control.feedforward import FeedforwardConfig, Reference
 from ...control.pi import PiConfig, pi_step
+from ...control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 from ...jit import njit
 
 INTEGRAL_A = 0
@@ -28,6 +29,7 @@ class PeerConfig(NamedTuple):
     current_limit_a: float
     period_s: float
     error_share: float  # weight of a new error in the filter, per period
+    velocity: VelocityEstimatorConfig = DRIVE_VELOCITY  # of the error
 
 
 @njit

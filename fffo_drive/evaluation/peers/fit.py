@@ -16,6 +16,9 @@ from scipy.optimize import least_squares
 
 from ...arrays import Floats
 from ...jit import njit
+from ...model.effects import slots as s
+from ...model.effects.laws.second_surface import MEMORY_RATIO, TRAVEL_RATIO, second_surface
+from ...model.effects.slots import MEMORY_SLOTS as EFFECT_MEMORY
 from ...model.friction import OMEGA_CLIPPED, REST, FrictionConfig, friction_step
 from .constants import MEMORY_SLOTS
 from .lugre import LugreModel, lugre_torque
@@ -27,6 +30,36 @@ REACH = 4.0  # of the logarithm of a parameter, either way: 55 times
 TABLE_1 = FrictionConfig(0.025, 0.067, 0.733, 1.07, 0.003, 778.0, 2.33, OMEGA_CLIPPED)
 LUGRE_START = LugreModel(0.025, 0.067, 0.733, 1.07, 0.003, 20.0, 0.002)
 SLIP_START = SlipModel(0.025, 0.067, 0.733, 1.07, 0.003, 12.0, 0.4, 2.0)
+SECOND_SHARE = 0.1  # of the level and of the rise: with which the second surface begins
+SECOND_SPEEDS = (0.3, 3.0)  # over the Stribeck velocity: where its own begins; the better one stays
+
+
+class TwoSurfaces(NamedTuple):
+    """The 2SEP model with the effect second_surface beside it: FrictionConfig, then the effect's parameters."""
+
+    coulomb_nm: float
+    static_nm: float
+    stribeck_velocity_rps: float
+    stribeck_exponent: float
+    viscous_nm_per_rps: float
+    stiffness_per_rev: float
+    attraction_nm_per_rev: float
+    omega_form: int
+    level_nm: float
+    rise_nm: float
+    travel_rev: float
+    speed_rps: float
+    memory_rev: float
+
+    @property
+    def first(self) -> FrictionConfig:
+        """The model's own surface."""
+        return FrictionConfig(**{name: getattr(self, name) for name in FrictionConfig._fields})
+
+    @property
+    def second(self) -> dict[str, float]:
+        """The effect's parameters by name."""
+        return {name: getattr(self, name) for name in self._fields[len(FrictionConfig._fields) :]}
 
 
 class FittedPeer(NamedTuple):
@@ -57,11 +90,31 @@ def _along_slip(model: SlipModel, velocity_rps: Floats, period_s: float, torque_
         torque_nm[k] = slip_torque(model, memory, velocity_rps[k], period_s)
 
 
+@njit
+def _add_second_surface(
+    parameters: Floats, velocity_rps: Floats, period_s: float, torque_nm: Floats, signals: Floats, memory: Floats
+) -> None:
+    signals[s.STEP_S] = period_s
+    for k in range(velocity_rps.shape[0]):
+        signals[s.VELOCITY_RPS] = velocity_rps[k]
+        signals[s.LOAD_NM] = 0.0
+        second_surface(signals, parameters, memory)
+        torque_nm[k] += signals[s.LOAD_NM]
+
+
 def friction_along(model: Any, velocity_rps: Floats, period_s: float) -> Floats:
     """Friction torque (n,) of a model, Nm, along a velocity (n,) from rest."""
     torque_nm = np.zeros(velocity_rps.size)
     if isinstance(model, FrictionConfig):
         _along_2sep(model, velocity_rps, period_s, torque_nm)
+    elif isinstance(model, TwoSurfaces):
+        _along_2sep(model.first, velocity_rps, period_s, torque_nm)
+        parameters, signals, memory = (
+            np.array(list(model.second.values())),
+            np.zeros(s.N_SLOTS),
+            np.zeros(EFFECT_MEMORY),
+        )
+        _add_second_surface(parameters, velocity_rps, period_s, torque_nm, signals, memory)
     elif isinstance(model, LugreModel):
         _along_lugre(model, velocity_rps, period_s, torque_nm)
     else:
@@ -85,3 +138,26 @@ def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period
     found = least_squares(left, first, bounds=(first - REACH, first + REACH), x_scale=0.3, max_nfev=60)
     rms = float(np.sqrt(np.mean(found.fun**2) / np.mean(friction_nm**2)))
     return FittedPeer(model(found.x), rms)
+
+
+def fit_two_surfaces(
+    two_state: FrictionConfig, velocity_rps: Floats, friction_nm: Floats, period_s: float
+) -> FittedPeer:
+    """Both surfaces together, from the fitted 2SEP model; arrays (n,)."""
+    found = [
+        fit_friction(
+            TwoSurfaces(
+                *two_state,
+                SECOND_SHARE * two_state.coulomb_nm,
+                SECOND_SHARE * abs(two_state.static_nm - two_state.coulomb_nm),
+                TRAVEL_RATIO / two_state.stiffness_per_rev,
+                speed * two_state.stribeck_velocity_rps,
+                MEMORY_RATIO * two_state.static_nm / two_state.attraction_nm_per_rev,
+            ),
+            velocity_rps,
+            friction_nm,
+            period_s,
+        )
+        for speed in SECOND_SPEEDS
+    ]  # fmt: skip
+    return min(found, key=lambda one: one.left)

@@ -28,13 +28,14 @@ from ..campaign import Candidate
 from .constants import PeerConfig
 from .design import ObserverForm, ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
-from .fit import LUGRE_START, SLIP_START, TABLE_1, fit_friction
+from .fit import LUGRE_START, SLIP_START, TABLE_1, TwoSurfaces, fit_friction
 from .loop import PeerLaw
 from .luenberger import LuenbergerLoop, further_pole_rad_per_s
 from .lugre import LugreConfig, LugreModel
 from .maxwell_slip import SlipConfig, SlipModel
 
-Model = TypeVar("Model", FrictionConfig, LugreModel, SlipModel)
+Model = TypeVar("Model", FrictionConfig, TwoSurfaces, LugreModel, SlipModel)
+Contact = TypeVar("Contact", FrictionConfig, TwoSurfaces)
 
 PI, FFFO, PLUS = "pi", "pi+fffo", "pi+fffo+"
 OWN_LAWS = (PI, FFFO, PLUS)
@@ -47,6 +48,7 @@ class Models(NamedTuple):
     two_state: FrictionConfig
     lugre: LugreModel
     slip: SlipModel
+    two_surfaces: TwoSurfaces | None = None
 
 
 class Scale(NamedTuple):
@@ -91,7 +93,7 @@ def axis_numbers(plant: PlantConfig) -> AxisNumbers:
 def fit_models(velocity_rps: Floats, friction_nm: Floats, period_s: float) -> tuple[Models, tuple[float, ...]]:
     """All models along one record, arrays (n,); and the share of the friction (rms) that each of them leaves."""
     found = [fit_friction(start, velocity_rps, friction_nm, period_s) for start in (TABLE_1, LUGRE_START, SLIP_START)]
-    return Models._make(one.model for one in found), tuple(one.left for one in found)
+    return Models(*(one.model for one in found)), tuple(one.left for one in found)
 
 
 def scaled(models: Models, scale: Scale) -> Models:
@@ -105,16 +107,27 @@ def scaled(models: Models, scale: Scale) -> Models:
             stribeck_velocity_rps=scale.stribeck_velocity * model.stribeck_velocity_rps,
         )
 
-    two_state, lugre, slip = changed(models.two_state), changed(models.lugre), changed(models.slip)
+    def contact(model: Contact) -> Contact:
+        return changed(model)._replace(
+            stiffness_per_rev=scale.stiffness * model.stiffness_per_rev,
+            attraction_nm_per_rev=model.attraction_nm_per_rev / scale.memory,
+        )
+
+    lugre, slip, both = changed(models.lugre), changed(models.slip), models.two_surfaces
     return Models(
-        two_state._replace(
-            stiffness_per_rev=scale.stiffness * two_state.stiffness_per_rev,
-            attraction_nm_per_rev=two_state.attraction_nm_per_rev / scale.memory,
-        ),
+        contact(models.two_state),
         lugre._replace(stiffness_nm_per_rev=scale.stiffness * lugre.stiffness_nm_per_rev),
         slip._replace(
             stiffness_nm_per_rev=scale.stiffness * slip.stiffness_nm_per_rev,
             attraction_nm_per_s=slip.attraction_nm_per_s / scale.memory,
+        ),
+        both
+        and contact(both)._replace(
+            level_nm=scale.level * both.level_nm,
+            rise_nm=scale.level * scale.rise * both.rise_nm,
+            travel_rev=both.travel_rev / scale.stiffness,
+            speed_rps=scale.stribeck_velocity * both.speed_rps,
+            memory_rev=scale.memory * both.memory_rev,
         ),
     )
 
@@ -123,7 +136,7 @@ def wrong(models: Models, share: float, seed: int, sign: float | None = None) ->
     """Each parameter of each model changed by `share`; the seed draws the signs, the same for equal names, where none
     is given.
     """
-    names = sorted({name for model in models for name in model._fields if name != "omega_form"})
+    names = sorted({name for model in models if model is not None for name in model._fields if name != "omega_form"})
     drawn = np.random.default_rng([seed, 0xF]).choice((-1.0, 1.0), len(names))
     factors = {
         name: 1.0 + share * (float(own) if sign is None else sign) for name, own in zip(names, drawn, strict=True)
@@ -132,7 +145,8 @@ def wrong(models: Models, share: float, seed: int, sign: float | None = None) ->
     def changed(model: Model) -> Model:
         return model._replace(**{n: factors[n] * getattr(model, n) for n in model._fields if n in factors})
 
-    return Models(changed(models.two_state), changed(models.lugre), changed(models.slip))
+    both = models.two_surfaces
+    return Models(changed(models.two_state), changed(models.lugre), changed(models.slip), both and changed(both))
 
 
 def error_filter_s(config: ControllerConfig) -> float:

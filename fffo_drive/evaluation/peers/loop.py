@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...arrays import Floats
+from ...control.compensation import ALL_EFFECTS, compensation_step, new_memory, no_compensation
 from ...control.controller import (
     ControllerConfig,
     controller_at_rest,
@@ -20,6 +21,14 @@ from ...control.controller import (
 )
 from ...control.feedforward import FeedforwardConfig, read_reference
 from ...control.reference import Profile
+from ...control.velocity_estimator import (
+    COMMANDS,
+    Measured,
+    VelocityEstimatorConfig,
+    estimator_at_rest,
+    keep_command,
+    velocity_estimator_step,
+)
 from ...drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ...drive.port import port_command, port_receive, port_sleep_until, port_sync
 from ...drive.simulated.in_process import SimulatedDrive
@@ -46,11 +55,17 @@ class PeerLaw(NamedTuple):
     name: str
     config: Config
     toggle: int = 0  # friction_observer.TOGGLE_*, of this project's law
+    effects: Floats | None = None  # table of control.compensation, of this project's law
 
     @property
     def feedforward(self) -> FeedforwardConfig:
         """How the reference is read."""
         return self.config.feedforward if isinstance(self.config, ControllerConfig) else self.config.peer.feedforward
+
+    @property
+    def velocity(self) -> VelocityEstimatorConfig:
+        """Which velocity the error takes."""
+        return self.config.velocity if isinstance(self.config, ControllerConfig) else self.config.peer.velocity
 
     @property
     def kind(self) -> int:
@@ -68,9 +83,11 @@ class PeerLaw(NamedTuple):
 @njit
 def _run(
     port: Any, period_ns: int, cutoff_ns: int, kind: int, toggle: int, parameters: Floats,
-    feedforward: FeedforwardConfig, values: Floats, derivatives: Floats, memory: Floats, found: Floats,
+    feedforward: FeedforwardConfig, velocity: VelocityEstimatorConfig, values: Floats, derivatives: Floats,
+    memory: Floats, effects: Floats, effects_memory: Floats, commands_a: Floats, found: Floats,
 ) -> None:  # fmt: skip
     state = controller_at_rest()
+    estimator = estimator_at_rest()
     feedback = port.feedback[0]
     controlword = 0
     length = values.shape[0]
@@ -84,26 +101,32 @@ def _run(
         if not is_operation_enabled(feedback["statusword"]):
             port_command(port, tick, controlword, 0.0)
         else:
-            velocity_rps = feedback["velocity_rps"]
+            velocity_rps, position_rev = feedback["velocity_rps"], feedback["position_rev"]
+            measured = Measured(tick, deadline_ns, True, position_rev, velocity_rps)
+            estimate, estimator = velocity_estimator_step(velocity, estimator, commands_a, measured)
+            followed_rps = estimate.followed_rps
             reference = read_reference(feedforward, values, derivatives, length, sample)
             if kind == OWN_LAW:
                 config = unpack_controller(parameters)
+                effects_nm = compensation_step(effects, effects_memory, ALL_EFFECTS, reference, position_rev)
                 terms, state = controller_step(
-                    config, state, toggle, reference, velocity_rps, 0.0, velocity_rps, feedback["position_rev"]
+                    config, state, toggle, reference, velocity_rps, effects_nm, followed_rps, position_rev
                 )
                 command_a = terms.command_a
             elif kind == LUGRE:
-                command_a = lugre_step(parameters, memory, reference, velocity_rps)
+                command_a = lugre_step(parameters, memory, reference, followed_rps)
             elif kind == MAXWELL_SLIP:
-                command_a = slip_step(parameters, memory, reference, velocity_rps)
+                command_a = slip_step(parameters, memory, reference, followed_rps)
             elif kind == OBSERVER:
-                command_a = observer_loop_step(parameters, memory, reference, velocity_rps)
+                command_a = observer_loop_step(parameters, memory, reference, followed_rps)
             else:
-                command_a = luenberger_step(parameters, memory, reference, velocity_rps, feedback["position_rev"])
+                command_a = luenberger_step(parameters, memory, reference, followed_rps, position_rev)
             found[MEASURED_RPS, sample] = velocity_rps
             found[TRUE_RPS, sample] = feedback["true_velocity_rps"]
             found[FRICTION_NM, sample] = feedback["true_friction_nm"]
-            found[COMMAND_A, sample] = port_command(port, tick, controlword, command_a)
+            sent_a = port_command(port, tick, controlword, command_a)
+            keep_command(commands_a, tick, sent_a)
+            found[COMMAND_A, sample] = sent_a
             sample += 1
         tick += 1
 
@@ -123,8 +146,9 @@ def run_law(plant: PlantConfig, device: DeviceConfig, law: PeerLaw, profile: Pro
     found = np.zeros((4, profile.values.size))
     period_ns = round(profile.period_s * NS_PER_S)
     _run(
-        drive.port, period_ns, period_ns // 2, law.kind, law.toggle, parameters, law.feedforward, profile.values,
-        profile.derivatives, np.zeros(MEMORY_SLOTS), found,
+        drive.port, period_ns, period_ns // 2, law.kind, law.toggle, parameters, law.feedforward, law.velocity,
+        profile.values, profile.derivatives, np.zeros(MEMORY_SLOTS),
+        no_compensation() if law.effects is None else law.effects, new_memory(), np.zeros(COMMANDS), found,
     )  # fmt: skip
     trace = Trace(profile.period_s, profile.values, found[MEASURED_RPS], found[TRUE_RPS], found[COMMAND_A])
     return Ran(trace, found[FRICTION_NM])
