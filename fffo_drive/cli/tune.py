@@ -27,10 +27,10 @@ from ..documents import DocumentError, parse, read_text
 from ..identification.tuning import Wish
 from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
-from ..report.tune import TuneSource, range_text, tune_report
+from ..report.tune import TuneSource, estimate_text, range_text, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
-from ..workflows.tune import require_positive, tune
+from ..workflows.tune import allowed_by_estimate, require_positive, tune
 
 FIGURES = "figures"
 GAINS_NAME = "controller.yaml"
@@ -103,6 +103,7 @@ def execute(options: argparse.Namespace) -> int:
     measured_s = commissioned_delay_s(options.axis, axis_file) if axis_file else None
     tuned = tune(model, axis, wish, measured_s, hold_dead_band_rev(axis_file))
     found = tuned.design
+    more = allowed_by_estimate(axis_file, model, wish, measured_s, found) if axis_file else None
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     copy = [] if options.axis is None else [Path(options.axis).name]
@@ -115,11 +116,11 @@ def execute(options: argparse.Namespace) -> int:
     text = yaml.safe_dump({"controller": section}, sort_keys=False)
     written = [out / GAINS_NAME]
     written[0].write_text(text, encoding="utf-8")
-    result = tuned.summary()
+    result = tuned.summary() | {"integral_action_on_the_estimate": more}
     if options.axis:
         written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
-    source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands)
+    source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands, more)
     tuning = Tuning(tuned.axis, found, wish, model.friction_config())
     page = tune_report(source, tuning, result)
     paths = write_report(page, out)
@@ -132,6 +133,8 @@ def execute(options: argparse.Namespace) -> int:
         print(json.dumps(shown | {"report": str(paths.page)}, indent=2))
     else:
         _print(tuning, model.units == "linear")
+        if more is not None:
+            print(estimate_text(more))
         for path in (*written, paths.page):
             print(path)
     return 0

@@ -66,6 +66,10 @@ class Gains(NamedTuple):
         """Kp, Ki and L, as `loop_margins` takes them."""
         return self.proportional_a_per_rps, self.integral_a_per_rev, self.observer_nm_per_rev
 
+    def integral_action_nm_per_rev(self, torque_constant_nm_per_a: float) -> float:
+        """Ki Kt + L: the integral of the error is the change of the disturbance over it."""
+        return self.integral_a_per_rev * torque_constant_nm_per_a + self.observer_nm_per_rev
+
 
 class LocusPoint(NamedTuple):
     """Closed-loop poles (1/s) at one proportional gain, the integral time kept."""

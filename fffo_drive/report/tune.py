@@ -44,6 +44,7 @@ class TuneSource(NamedTuple):
     section: str  # the controller section, as YAML
     written: Sequence[Path]  # files, the axis file last where there is one
     commands: Sequence[str]
+    on_the_estimate: float | None = None  # Ki Kt + L there, over that of the design; None: not possible, or in use
 
 
 def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> Report:
@@ -93,6 +94,8 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         f"The friction damping may vary {range_text(design.without_overshoot)} with real poles, "
         f"{range_text(design.within_margins)} within the margins.",
     ]
+    if source.on_the_estimate is not None and not unstable:
+        reasons.append(sentence(estimate_text(source.on_the_estimate)))
     cautions = [sentence(text) for text in design.warnings]
     lines = [
         Line(label="Margins", text=f"Phase {significant(margins.phase_deg, 2)}°, gain {significant(margins.gain, 2)} "
@@ -119,6 +122,14 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         lines=lines,
         reasons=reasons,
         cautions=cautions,
+    )
+
+
+def estimate_text(ratio: float) -> str:
+    """What the estimated velocity would allow, for the page and the terminal."""
+    return (
+        f"with `controller.velocity: {{source: estimated}}` the same margins allow {significant(ratio, 2)} times the "
+        "integral action Ki Kt + L; to use it, set it in the axis file and tune again"
     )
 
 

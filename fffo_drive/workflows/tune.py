@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import formats
-from ..config.axis import hold_dead_band_rev
+from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis
+from ..config.checks import fallback_problems, velocity_problems
+from ..config.sections import VelocitySection
 from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
@@ -74,6 +76,39 @@ def tune(
         )
         found = found._replace(warnings=(*found.warnings, text))
     return Tuned(axis, found)
+
+
+def allowed_by_estimate(
+    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned_delay_s: float | None, found: Design
+) -> float | None:
+    """How many times the integral action Ki Kt + L the same margins allow where the velocity is estimated.
+
+    None where the file has the estimate already, or the loop cannot have it.
+    """
+    controller = axis_file.controller
+    if controller.velocity.estimated:
+        return None
+    estimated = controller.model_copy(update={"velocity": VelocitySection(source="estimated")})
+    other = axis_file.model_copy(update={"controller": estimated})
+    if velocity_problems(other, model):
+        return None
+    dead_band_rev = hold_dead_band_rev(axis_file)
+    try:
+        tuned = tune(model, loop_axis(other, model), wish, commissioned_delay_s, dead_band_rev)
+    except DocumentError:
+        return None
+    gains = tuned.design.gains
+    estimated = estimated.model_copy(
+        update={
+            "proportional_a_per_rps": gains.proportional_a_per_rps,
+            "integral_a_per_rev": gains.integral_a_per_rev,
+            "observer": estimated.observer.model_copy(update={"gain_nm_per_rev": gains.observer_nm_per_rev}),
+        }
+    )
+    if fallback_problems(other.model_copy(update={"controller": estimated}), model, observer_on=True):
+        return None
+    kt = model.torque_constant_nm_per_a
+    return gains.integral_action_nm_per_rev(kt) / found.gains.integral_action_nm_per_rev(kt)
 
 
 def undetermined(model: ModelFile) -> list[str]:

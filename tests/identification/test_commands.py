@@ -99,6 +99,30 @@ def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     assert result["condition_14_nm_per_rev"] >= 0.0
 
 
+def test_tune_says_what_the_estimated_velocity_would_allow_and_a_tuning_on_it_has_exactly_that(tmp_path, capsys):
+    def tuned(name: str) -> dict:
+        options = ["tune", str(TABLE_1), "--out", str(tmp_path / name), "--axis", str(axis)]
+        assert main(options) == 0
+        printed.append(capsys.readouterr().out)
+        return json.loads((tmp_path / name / "report.json").read_text())["results"]
+
+    def integral_action(result: dict) -> float:
+        gains = result["gains"]
+        return gains["integral_a_per_rev"] * read_model(TABLE_1).torque_constant_nm_per_a + gains["observer_nm_per_rev"]
+
+    axis, printed = axis_file(tmp_path), []
+    before = tuned("drive")
+    axis.write_text(axis.read_text().replace("controller:\n", "controller:\n  velocity: {source: estimated}\n"))
+    after = tuned("estimated")
+    ratio = before["integral_action_on_the_estimate"]
+    assert ratio == pytest.approx(integral_action(after) / integral_action(before), rel=1e-9)
+    assert ratio > 1.2
+    assert after["integral_action_on_the_estimate"] is None
+    assert f"the same margins allow {ratio:.1f} times the integral action" in printed[0]
+    assert "integral action" not in printed[1]
+    assert f"the same margins allow {ratio:.1f} times" in (tmp_path / "drive" / "report.html").read_text()
+
+
 def test_tune_designs_for_the_longer_delay_of_model_and_commissioning_and_keeps_the_record(tmp_path, capsys):
     axis = axis_file(tmp_path)
     assert main(["tune", str(TABLE_1), "--out", str(tmp_path / "first"), "--axis", str(axis)]) == 0  # no record yet
