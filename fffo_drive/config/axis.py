@@ -196,7 +196,7 @@ def rest_config(axis: AxisFile, model: ModelFile) -> RestConfig:
 
 
 def hold_config(axis: AxisFile, model: ModelFile) -> HoldConfig:
-    """The hold of the position: no finer than its resolution, and over no more than the contact's travel, 1/K."""
+    """The position hold: no finer than its resolution, and over no more than the contact's travel, 1/K."""
     section, friction = axis.controller.at_rest, model.friction_config()
     if section.hold_a_per_rev_s == 0.0:
         return NO_HOLD

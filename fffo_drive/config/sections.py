@@ -89,7 +89,7 @@ class RestSection(StrictRecord):
         Field(
             ge=0,
             le=1e7,
-            description="integral gain of the hold of the position, A per rev and second; the margins at rest count "
+            description="integral gain of the position hold, A per rev and second; the margins at rest count "
             "it, `tune` chooses it; 0: no hold",
         ),
     ] = 0.0

@@ -1,6 +1,6 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + H + (F + E) / Kt,    H: at rest, the hold of the position (control/position_hold)
+i = Kp e + Ki int(e) + H + (F + E) / Kt,    H: at rest, the position hold (control/position_hold)
                                             F from the observer: off, on the reference (FF) or on the measured
                                             velocity (FB)
                                             E from the effects of the model (control/compensation), and what was
@@ -153,7 +153,7 @@ def controller_step(
     The observation is frozen (lambda = 0) while the last command was limited, and at rest.
 
     While the reference is zero, lambda would be a second integrator, several times as strong as that of the PI, and an
-    axis with stiction would hunt. At rest the PI's integral acts, with the gains at rest, and the hold of the position;
+    axis with stiction would hunt. At rest the PI's integral acts, with the gains at rest, and the position hold;
     in the first tick of motion the integral takes over the hold's current.
     """
     if toggle != state.toggle:

@@ -14,7 +14,9 @@ from .errors import RecordingError
 
 TIME = "time_s"
 _FOREIGN = (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)
-SIGNAL_UNITS = {TIME: "s"} | {signal.name: signal.unit for signal in _FOREIGN if signal.dtype == "<f8"}
+STATUSWORD = "statusword"  # read where it is declared: other programs may write it in hexadecimal
+_NAMED_UNITS = {TIME: "s"} | {signal.name: signal.unit for signal in _FOREIGN if signal.dtype == "<f8"}
+SIGNAL_UNITS = _NAMED_UNITS | {STATUSWORD: "-"}
 
 _DEG_PER_REV = 360.0
 _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted unit -> factor
@@ -37,6 +39,7 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "A": {"A": 1.0, "mA": 1e-3},
     "Nm": {"Nm": 1.0, "mNm": 1e-3},
     "Nm/s": {"Nm/s": 1.0},
+    "Nm/rps": {"Nm/rps": 1.0},
     "A2s": {"A2s": 1.0},
     "V": {"V": 1.0, "mV": 1e-3},
     "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
@@ -44,7 +47,9 @@ _FACTORS: dict[str, dict[str, float]] = {  # by unit of the signal: accepted uni
     "m/s2": {"m/s2": 1.0, "mm/s2": 1e-3},
     "N": {"N": 1.0},
     "N/s": {"N/s": 1.0},
+    "N s/m": {"N s/m": 1.0},
     "degC": {"degC": 1.0},
+    "-": {"-": 1.0},
 }
 _ALSO = {"A": ("V",)}  # an amplifier's input in volts takes the place of the current command
 
@@ -85,7 +90,7 @@ class Conversion(NamedTuple):
 
 def identity_map(names: Iterable[str]) -> ColumnMap:
     """The map of a file whose columns are named as the signals are; others are left out."""
-    return ColumnMap(tuple(MappedColumn(name, name) for name in dict.fromkeys(names) if name in SIGNAL_UNITS))
+    return ColumnMap(tuple(MappedColumn(name, name) for name in dict.fromkeys(names) if name in _NAMED_UNITS))
 
 
 def conversions(mapping: ColumnMap) -> dict[str, Conversion]:

@@ -166,7 +166,7 @@ def _gains(tuning: Tuning) -> Table:
         Row(
             label="hold",
             unit="A/rev/s",
-            cells=[number(g.hold_a_per_rev_s, 4), _text("integral gain of the hold of the position at standstill")],
+            cells=[number(g.hold_a_per_rev_s, 4), _text("integral gain of the position hold at standstill")],
         ),
     ]
     return Table(

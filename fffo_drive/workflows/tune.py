@@ -53,7 +53,7 @@ def tune(
 
     Also where a bandwidth or damping ratio is not above 0. `commissioned_delay_s`: what commissioning measured, command
     to measured velocity. Backlash and elasticity make a fitted delay too short; the longer of the two is designed for.
-    `dead_band_rev`: of the hold of the position, in general its resolution.
+    `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
     longer_s = max(0.0, (commissioned_delay_s or 0.0) - model.delay_s.value)

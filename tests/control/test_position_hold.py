@@ -1,4 +1,4 @@
-"""The hold of the position at rest: what it brings back, its bound, its begin and its end."""
+"""The position hold at rest: what it brings back, its bound, its begin and its end."""
 
 from __future__ import annotations
 

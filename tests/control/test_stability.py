@@ -43,7 +43,7 @@ def test_margins_of_an_integrator_with_delay():
 
 
 def test_a_loop_of_two_integrators_and_a_lag_begins_below_180_degrees():
-    """A hold of the position on a sliding axis: the phase margin at the crossover is that of its open loop there."""
+    """A position hold on a sliding axis: the phase margin at the crossover is that of its open loop there."""
     axis, kp, ki, hold = LinearAxis(1e-3, 0.003, 0.002, 0.1), 1.0, 10.0, 50.0
     margins = loop_margins(axis, kp, ki, 0.0, 0.0, hold)
     s = 2j * math.pi * margins.crossover_hz

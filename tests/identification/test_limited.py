@@ -12,10 +12,11 @@ from fffo_drive.control.friction_observer import TOGGLE_OFF
 from fffo_drive.drive.cia402 import STATUS_INTERNAL_LIMIT
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.drive.simulated.parameters import PlantConfig, noiseless
-from fffo_drive.identification.dataset import DataError, record_of_columns, where_command_acts
+from fffo_drive.identification.dataset import DataError, load_record, record_of_columns, where_command_acts
 from fffo_drive.identification.excitation import identification_sequence
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.regression import regression_start
+from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime.session import Session
 from fffo_drive.units import inertia_nm_s2_per_rev
@@ -61,6 +62,27 @@ def test_gaps_in_time_stay_gaps_at_their_new_places():
     record = record_of_columns("run", later, FACTS)
     assert record.breaks == (3000,)
     assert where_command_acts(record).breaks == (3000, 4780)
+
+
+def test_a_table_says_it_too_where_its_statusword_is_declared(tmp_path):
+    columns = columns_of(4000, np.arange(1000, 1003))
+    log = tmp_path / "run.csv"
+    np.savetxt(log, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join([*columns][:3] + ["sw"]))
+    declared = {name: name for name in ("time_s", "current_command_a", "position_rev")} | {"statusword": "sw"}
+    record = load_record(log, FACTS.model_copy(update={"columns": declared}))
+    assert record.limited is not None
+    assert np.flatnonzero(record.limited).tolist() == [1000, 1001, 1002]
+    assert where_command_acts(record).samples == 4000 - 3 - 2 * 20
+
+
+def test_a_hexadecimal_statusword_is_refused_with_its_place_and_left_alone_where_it_is_not_declared(tmp_path):
+    lines = [f"{PERIOD_S * k},{np.sin(0.01 * k)},{np.cos(0.01 * k)},0x1637" for k in range(3000)]
+    log = tmp_path / "run.csv"
+    log.write_text("time_s,current_command_a,position_rev,statusword\n" + "\n".join(lines) + "\n")
+    assert load_record(log, FACTS).limited is None
+    declared = {name: name for name in ("time_s", "current_command_a", "position_rev", "statusword")}
+    with pytest.raises(RecordingError, match=r"line 2.*statusword.*0x1637"):
+        load_record(log, FACTS.model_copy(update={"columns": declared}))
 
 
 def test_a_drive_that_is_always_at_its_limit_is_refused_in_words():

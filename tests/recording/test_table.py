@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 from shared_data import shared_files
 
-from fffo_drive.recording.column_map import ColumnMap, MappedColumn
+from fffo_drive.recording.column_map import SIGNAL_UNITS, ColumnMap, MappedColumn, conversions
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.load import read_log
 from fffo_drive.recording.table import read_table
@@ -307,3 +307,10 @@ def test_measured_emps_files():
         assert found.period_s == pytest.approx(1e-3, rel=1e-3)
         assert found.scalars["kp"] == 160.18
         assert found.warnings == ()
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_every_signal_can_be_mapped_in_its_own_unit(linear):
+    columns = tuple(MappedColumn(name.upper(), name) for name in SIGNAL_UNITS)
+    found = conversions(ColumnMap(columns, linear=linear))
+    assert {name: (one.factor, one.shift) for name, one in found.items()} == dict.fromkeys(SIGNAL_UNITS, (1.0, 0.0))

@@ -176,7 +176,7 @@ def with_adaptation(plan: Plan) -> Plan:
 
 
 def with_hold(plan: Plan) -> Plan:
-    """The same plan with a hold of the position in short rests between two motions."""
+    """The same plan with a position hold in short rests between two motions."""
     at_rest = RestSection(gain_share=0.5, release_friction=True, time_s=0.005, hold_a_per_rev_s=2000.0)
     controller = plan.axis.controller.model_copy(update={"at_rest": at_rest})
     times_s = np.array([0.0, 0.05, 0.1, 0.3])

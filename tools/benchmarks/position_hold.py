@@ -1,4 +1,4 @@
-"""The hold of the position at rest, over its two constants: creep, starts, a load step, hunting, error in motion.
+"""The position hold at rest, over its two constants: creep, starts, a load step, hunting, error in motion.
 
 The chain (tools/benchmarks/chain.py) gives each random axis its model and gains. Then all variants of the hold run on
 it: motion, seven seconds of rest, a start in the same direction, five seconds of rest, a start in the other direction,

@@ -141,7 +141,7 @@ static struct velocity_estimator_terms velocity_estimator_step(const struct velo
     return terms;
 }
 
-/* ---- the hold of the position at rest ---- */
+/* ---- the position hold at rest ---- */
 
 static void hold_step(const struct hold_config *c, struct hold_state *state, double *integral_a, double rest,
                       double position_rev, bool limited, double period_s)
