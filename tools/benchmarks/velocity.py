@@ -25,6 +25,7 @@ from fffo_drive.control.stability import Margins
 from fffo_drive.evaluation.campaign import Case, simulate, warm_up
 from fffo_drive.evaluation.compare import MetricComparison, compare_metric
 from fffo_drive.evaluation.measures import measure
+from fffo_drive.evaluation.reversal import FAST_RPS2
 from fffo_drive.evaluation.trace import trace_of
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
@@ -222,7 +223,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin",
         "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; each margin is the smaller",
         "one of the two cuts (fffo_drive/control/stability.py). 200 Hz is the default. At the crossing: mean magnitude",
-        "of the true error at reversals slower than 10 rps/s.",
+        f"of the true error at reversals slower than {FAST_RPS2:g} rps/s.",
         "",
     ]
     for sensor in TRACKING_HZ:
