@@ -22,7 +22,7 @@ import numpy as np
 
 from .config.axis import TOGGLES, AxisFile, hold_dead_band_rev, loop_axis, model_of
 from .config.axis import read_axis as read_axis_file
-from .config.commissioning import commissioned_delay_s, permission
+from .config.commissioning import NOT_COMMISSIONED, commissioned, permission
 from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .control.stability import linear_axis
@@ -372,9 +372,9 @@ def tune(
     """
     tuning.require_positive(rate_hz=rate_hz)
     linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
-    measured_s = None if axis is None else commissioned_delay_s(axis.path, axis.file)
+    measured = NOT_COMMISSIONED if axis is None else commissioned(axis.path, axis.file)
     wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)
-    return tuning.tune(model, linear, wish, measured_s, hold_dead_band_rev(None if axis is None else axis.file))
+    return tuning.tune(model, linear, wish, measured, hold_dead_band_rev(None if axis is None else axis.file))
 
 
 def diagnose(

@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from ..config.axis import hold_dead_band_rev, loop_axis, read_axis
-from ..config.commissioning import commissioned_delay_s
+from ..config.commissioning import NOT_COMMISSIONED, commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import ControllerSection
 from ..control.stability import linear_axis
@@ -100,10 +100,10 @@ def execute(options: argparse.Namespace) -> int:
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
     axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
-    measured_s = commissioned_delay_s(options.axis, axis_file) if axis_file else None
-    tuned = tune(model, axis, wish, measured_s, hold_dead_band_rev(axis_file))
+    measured = commissioned(options.axis, axis_file) if axis_file else NOT_COMMISSIONED
+    tuned = tune(model, axis, wish, measured, hold_dead_band_rev(axis_file))
     found = tuned.design
-    more = allowed_by_estimate(axis_file, model, wish, measured_s, found) if axis_file else None
+    more = allowed_by_estimate(axis_file, model, wish, measured, found) if axis_file else None
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     copy = [] if options.axis is None else [Path(options.axis).name]

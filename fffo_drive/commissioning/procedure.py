@@ -44,7 +44,7 @@ from .judge import CHECKS, judged, not_done
 from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
 from .objects import NamePlate, ObjectSource, read_name_plate, read_number
-from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
+from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts
 from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
 
 LISTEN_S = 0.5
@@ -418,7 +418,7 @@ class _Procedure:
             "backlash, an elastic coupling or strong cogging? The torque per inertia and the delay below are rough; "
             "identify and diagnose the axis before its gains are raised"
         )
-        self.add(judged("motion", WARNING, text, remedy, moved.numbers | {"unexplained_share": unexplained}))
+        self.add(judged("motion", WARNING, text, remedy, moved.numbers | {UNEXPLAINED_SHARE: unexplained}))
 
     def _trusted_gain(self, by_velocity: float, scale: ScaleFit) -> float:
         """Acceleration per ampere, by the word with the right scale."""

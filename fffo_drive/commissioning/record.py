@@ -89,6 +89,9 @@ class BoundsRecord(StrictRecord):
     time_s: Annotated[float, Field(description="of all motion together")]
 
 
+UNEXPLAINED_SHARE = "unexplained_share"  # in the numbers of the check `motion`, where it is a warning
+
+
 class CheckRecord(StrictRecord):
     """One check: what was measured and expected, and what to do when the two disagree."""
 

@@ -5,10 +5,12 @@ A drive on a bus needs a record. The simulated drive in process needs none: it i
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 from ..commissioning.record import (
+    UNEXPLAINED_SHARE,
     CheckRecord,
     CommissioningRecord,
     DeclaredFacts,
@@ -94,15 +96,34 @@ def permission(path: str | Path, axis: AxisFile, model: ModelFile, uncommissione
     return Permission(file, record, f"{record.verdict}: {file.name} of {record.date}, SHA-256 {record.content_hash}")
 
 
-def commissioned_delay_s(path: str | Path, axis: AxisFile) -> float | None:
-    """Delay from command to measured velocity, without the hold, in the record of this axis; None where there is none.
+class Commissioned(NamedTuple):
+    """What commissioning measured of the axis' dynamics."""
+
+    delay_s: float | None = None  # command to measured velocity, without the hold
+    unexplained_share: float = 0.0  # of the velocity variance, by a single rigid inertia; 0 where it was no warning
+
+
+NOT_COMMISSIONED = Commissioned()
+
+
+def commissioned(path: str | Path, axis: AxisFile) -> Commissioned:
+    """What the record of this axis says; nothing where there is none.
 
     An axis file of `bring-up` names its record before there is one. Raises DocumentError for one that was edited.
     """
     if axis.commissioning is None or not (file := beside(path, axis.commissioning)).exists():
-        return None
-    record = read_record(file)
-    return next((check.measured for check in record.checks if check.name == "delay"), None)
+        return NOT_COMMISSIONED
+    return commissioned_in(read_record(file).checks)
+
+
+def commissioned_in(checks: Iterable[CheckRecord]) -> Commissioned:
+    """The same in checks."""
+    by_name = {check.name: check for check in checks}
+    delay, motion = by_name.get("delay"), by_name.get("motion")
+    return Commissioned(
+        None if delay is None else delay.measured,
+        0.0 if motion is None else motion.numbers.get(UNEXPLAINED_SHARE, 0.0),
+    )
 
 
 def require_identity(given: Permission, identity: DriveIdentity) -> None:

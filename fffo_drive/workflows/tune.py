@@ -10,6 +10,7 @@ import numpy as np
 from .. import formats
 from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis
 from ..config.checks import fallback_problems, velocity_problems
+from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.sections import VelocitySection
 from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
@@ -46,17 +47,18 @@ class Tuned(NamedTuple):
 
 
 def tune(
-    model: ModelFile, axis: LinearAxis, wish: Wish, commissioned_delay_s: float | None = None,
+    model: ModelFile, axis: LinearAxis, wish: Wish, commissioned: Commissioned = NOT_COMMISSIONED,
     dead_band_rev: float = hold_dead_band_rev(None),
 ) -> Tuned:  # fmt: skip
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
-    Also where a bandwidth or damping ratio is not above 0. `commissioned_delay_s`: what commissioning measured, command
-    to measured velocity. Backlash and elasticity make a fitted delay too short; the longer of the two is designed for.
+    Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
+    elasticity make a fitted delay too short; the longer of the two is designed for. An axis that did not move as a
+    single rigid inertia, and a model without effects, is a warning.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
-    longer_s = max(0.0, (commissioned_delay_s or 0.0) - model.delay_s.value)
+    longer_s = max(0.0, (commissioned.delay_s or 0.0) - model.delay_s.value)
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
@@ -65,6 +67,13 @@ def tune(
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
             f"{1e3 * model.delay_s.value:.2f} ms"
+        )
+        found = found._replace(warnings=(*found.warnings, text))
+    if needs_diagnosis(model, commissioned):
+        text = (
+            f"commissioning found that a single rigid inertia leaves {100.0 * commissioned.unexplained_share:.0f} % of "
+            "the velocity variance unexplained, and the model has no effect such as elasticity: the margins may not "
+            "hold on this axis. Diagnose the same recordings and tune for the model that `diagnose` writes"
         )
         found = found._replace(warnings=(*found.warnings, text))
     slow_rps = stick_slip_rps(axis, model.friction_config(), found.gains.in_motion)
@@ -78,8 +87,13 @@ def tune(
     return Tuned(axis, found)
 
 
+def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
+    """Whether the axis moved unlike a single rigid inertia, and the model is nothing else."""
+    return commissioned.unexplained_share > 0.0 and not model.effects
+
+
 def allowed_by_estimate(
-    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned_delay_s: float | None, found: Design
+    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned, found: Design
 ) -> float | None:
     """How many times the integral action Ki Kt + L the same margins allow where the velocity is estimated.
 
@@ -94,7 +108,7 @@ def allowed_by_estimate(
         return None
     dead_band_rev = hold_dead_band_rev(axis_file)
     try:
-        tuned = tune(model, loop_axis(other, model), wish, commissioned_delay_s, dead_band_rev)
+        tuned = tune(model, loop_axis(other, model), wish, commissioned, dead_band_rev)
     except DocumentError:
         return None
     gains = tuned.design.gains

@@ -1,5 +1,7 @@
 """The chain from commissioning to a tuned run on random axes: commission, excite, identify, tune, run; at rest too.
 
+Where `commission` warns that the axis is no single rigid inertia, `diagnose` comes before `tune`, as both advise.
+
   .venv/bin/python tools/benchmarks/chain.py [--axes N] [--first NUMBER] [--rows FILE]
 
 Each axis has every number, its delay and its noise spread by half, one of five friction laws, one to three effects, a
@@ -33,6 +35,7 @@ from fffo_drive.commissioning.bounds import make_bounds
 from fffo_drive.commissioning.procedure import commission
 from fffo_drive.commissioning.record import FAILED, DeclaredFacts
 from fffo_drive.config.axis import controller_config
+from fffo_drive.config.commissioning import NOT_COMMISSIONED, Commissioned, commissioned_in
 from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.envelope import TRIP_NONE
@@ -40,12 +43,13 @@ from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from fffo_drive.control.position_hold import NO_HOLD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
 from fffo_drive.control.stability import linear_axis
+from fffo_drive.diagnosis.diagnose import diagnose
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.cia402 import STATUS_INTERNAL_LIMIT
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
-from fffo_drive.identification.dataset import Record, where_command_acts
+from fffo_drive.identification.dataset import DataError, Record, where_command_acts
 from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
@@ -54,7 +58,7 @@ from fffo_drive.identification.tuning import Wish
 from fffo_drive.model.parameters import ModelFile
 from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime.session import Session
-from fffo_drive.workflows.tune import tune
+from fffo_drive.workflows.tune import needs_diagnosis, tune
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
 FRESH = 3000  # no choice was made on axes from here on
@@ -113,8 +117,8 @@ def declared_nm_per_a(axis: RandomAxis) -> float:
     return axis.plant.torque_constant_nm_per_a * (1.0 + wrong)
 
 
-def commissioned_delay_s(case: Case, assumed: ModelFile, constant_nm_per_a: float) -> float:
-    """The delay that `commission` measures with the assumed numbers of a new axis. ValueError: it has not passed."""
+def commission_axis(case: Case, assumed: ModelFile, constant_nm_per_a: float) -> Commissioned:
+    """What `commission` measures with the assumed numbers of a new axis. ValueError: it has not passed."""
     guesses = {
         key: getattr(assumed, key).model_copy(update={"source": "assumed"}) for key in ("inertia_kg_m2", "delay_s")
     }
@@ -125,7 +129,7 @@ def commissioned_delay_s(case: Case, assumed: ModelFile, constant_nm_per_a: floa
     failed = [check for check in found if check.verdict == FAILED]
     if failed:
         raise ValueError(f"commission: {failed[0].name}: {failed[0].text}")
-    return float(next(check.measured or math.nan for check in found if check.name == "delay"))
+    return commissioned_in(found)
 
 
 def excite(case: Case, profile: Profile, controller: ControllerConfig, constant_nm_per_a: float) -> Record:
@@ -173,9 +177,18 @@ def identified(case: Case, number: int, controller: ControllerConfig, constant_n
     return model_file(fit, records, f"axis {number}")
 
 
-def tuned(base: Any, model: ModelFile, measured_s: float) -> tuple[Candidate, float, float]:
+def diagnosed(case: Case, controller: ControllerConfig, constant_nm_per_a: float, model: ModelFile) -> ModelFile:
+    """The model with what `diagnose` finds on the same runs; as it is where it finds nothing or cannot tell."""
+    try:
+        found = diagnose(excitations(case, controller, constant_nm_per_a), [], facts_of(constant_nm_per_a))
+    except DataError:
+        return model
+    return model if found.model_after is None else found.model_after
+
+
+def tuned(base: Any, model: ModelFile, measured: Commissioned) -> tuple[Candidate, float, float]:
     """PI+FFFO+ with the gains that `tune` writes; phase margin, share at rest. DocumentError: refused."""
-    found = tune(model, linear_axis(model, base.loop.period_s), Wish(), measured_s).design
+    found = tune(model, linear_axis(model, base.loop.period_s), Wish(), measured).design
     section = base.controller
     observer = section.observer.model_copy(
         update={"gain_nm_per_rev": found.gains.observer_nm_per_rev, "learns_in": "integral"}
@@ -239,13 +252,15 @@ def run_job(job: Job) -> Outcome:
     true_s = axis.plant.delay_s - 0.5 * case.session.loop.period_ns * 1e-9  # without the hold
     as_today = probe(case, nominal).verdict, at_rest_counts(case, nominal)[0]
     candidate, phase_deg, share, refused = None, math.nan, math.nan, ""
-    measured_s = fitted_s = math.nan
+    measured, fitted_s = NOT_COMMISSIONED, math.nan
     constant_nm_per_a = declared_nm_per_a(axis)
     try:
-        measured_s = commissioned_delay_s(case, scenario.model, constant_nm_per_a)
+        measured = commission_axis(case, scenario.model, constant_nm_per_a)
         model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
         fitted_s = model.delay_s.value
-        candidate, phase_deg, share = tuned(scenario.axis, model, measured_s)
+        if needs_diagnosis(model, measured):
+            model = diagnosed(case, nominal.controller, constant_nm_per_a, model)
+        candidate, phase_deg, share = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         refused = str(error).splitlines()[0]
     except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
@@ -259,7 +274,8 @@ def run_job(job: Job) -> Outcome:
         unheld = probe(case, without).verdict, at_rest_counts(case, without)[0]
     return Outcome(
         axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
-        *unheld, phase_deg, share, time.perf_counter() - began, measured_s - true_s, fitted_s - true_s, commit(),
+        *unheld, phase_deg, share, time.perf_counter() - began,
+        math.nan if measured.delay_s is None else measured.delay_s - true_s, fitted_s - true_s, commit(),
         swing,
     )  # fmt: skip
 

@@ -22,7 +22,7 @@ from chain import (
     MOST_CREEP_COUNTS,
     SCENARIO,
     at_rest_counts,
-    commissioned_delay_s,
+    commission_axis,
     declared_nm_per_a,
     excitations,
     facts_of,
@@ -34,6 +34,7 @@ from common import RESULTS, commit, machine, progress_bar
 from trial_axes.random_axis import wide_axis
 from trial_axes.robustness import PLATEAU_S, RAMP_S, SPEEDS_RPS, STABLE, probe, probe_profiles
 
+from fffo_drive.config.commissioning import Commissioned
 from fffo_drive.config.scenario import Scenario, case_of, read_scenario
 from fffo_drive.control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT
 from fffo_drive.control.stability import linear_axis
@@ -69,10 +70,10 @@ class Cause(NamedTuple):
     verdict_diagnosed: str  # of the loop that tune designs for the diagnosed model
 
 
-def stick_slip_speeds(scenario: Scenario, model: ModelFile, measured_s: float) -> str:
+def stick_slip_speeds(scenario: Scenario, model: ModelFile, measured: Commissioned) -> str:
     """The range that tune warns of, as in its message."""
     period_s = scenario.axis.loop.period_s
-    warnings = tune(model, linear_axis(model, period_s), Wish(), measured_s).design.warnings
+    warnings = tune(model, linear_axis(model, period_s), Wish(), measured).design.warnings
     said = [text for text in warnings if STICK_SLIP in text]
     return said[0].partition(" expect")[0].removeprefix("from ") if said else ""
 
@@ -102,9 +103,9 @@ def cause_of(job: tuple[int, str, float, Case]) -> Cause:
     nominal = next(c for c in case.candidates if c.name == "pi+fffo+")
     case = case._replace(plant=axis.plant)
     constant_nm_per_a = declared_nm_per_a(axis)
-    measured_s = commissioned_delay_s(case, scenario.model, constant_nm_per_a)
+    measured = commission_axis(case, scenario.model, constant_nm_per_a)
     model = identified(case, number, nominal.controller, constant_nm_per_a)
-    candidate, _, _ = tuned(scenario.axis, model, measured_s)
+    candidate, _, _ = tuned(scenario.axis, model, measured)
     accepted: tuple[str, ...] = ()
     try:
         runs = excitations(case, nominal.controller, constant_nm_per_a)
@@ -112,12 +113,12 @@ def cause_of(job: tuple[int, str, float, Case]) -> Cause:
         accepted = tuple(finding.name for finding in found.findings if finding.accepted)
         after = "nothing found"
         if found.model_after is not None:
-            after = probe(case, tuned(scenario.axis, found.model_after, measured_s)[0]).verdict
+            after = probe(case, tuned(scenario.axis, found.model_after, measured)[0]).verdict
     except (DataError, DocumentError) as error:
         after = f"refused: {str(error).splitlines()[0]}"
     return Cause(
         number, axis.law, axis.effects, verdict, creep_counts, probe(case, candidate).verdict,
-        at_rest_counts(case, candidate)[0], stick_slip_speeds(scenario, model, measured_s),
+        at_rest_counts(case, candidate)[0], stick_slip_speeds(scenario, model, measured),
         fastest_rps(case, candidate), accepted, after,
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ from chain import (
     COUNTS_PER_REV,
     MOST_CREEP_COUNTS,
     SCENARIO,
-    commissioned_delay_s,
+    commission_axis,
     crept_counts,
     declared_nm_per_a,
     identified,
@@ -216,9 +216,9 @@ def outcome_of(job: Job) -> Outcome:
     if not comes_to_rest(axis.plant):
         return Outcome(axis.number, axis.law, "gives energy", {})
     try:
-        measured_s = commissioned_delay_s(case, scenario.model, constant_nm_per_a)
+        measured = commission_axis(case, scenario.model, constant_nm_per_a)
         model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
-        candidate, _, _ = tuned(scenario.axis, model, measured_s)
+        candidate, _, _ = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
     laws = variants_of(candidate.controller, 1.0 / model.friction_config().stiffness_per_rev)
