@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -38,6 +39,12 @@ def sample(name: str, *options: str) -> dict:
     assert done.returncode == 0, done.stderr
     facts: dict = json.loads(done.stdout)
     return facts
+
+
+@pytest.mark.parametrize("table", sorted((BENCHMARKS / "results").glob("*.md")), ids=lambda path: path.stem)
+def test_every_table_says_by_what_code_it_was_made(table):
+    said = r"Made by `tools/benchmarks/[\w.]+` on \d{4}-\d\d-\d\d, commits? [0-9a-f]{7,}"
+    assert re.search(said, table.read_text()), f"{table.name}: no program, date and commit"
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from identification.test_dataset import write_csv
 from fffo_drive.cli import identify as cli_identify
 from fffo_drive.cli import main
 from fffo_drive.commissioning.judge import CHECKS, judged
-from fffo_drive.commissioning.record import read_record, write_record
+from fffo_drive.commissioning.record import UNEXPLAINED_SHARE, read_record, write_record
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.checks import law_problems
 from fffo_drive.config.drive_profile import profile_path, shipped_profiles
@@ -141,6 +142,26 @@ def test_tune_designs_for_the_longer_delay_of_model_and_commissioning_and_keeps_
         written = out / str(read_axis(out / axis.name).commissioning)
         assert read_record(written) == read_record(tmp_path / NAME)
     assert gains[0.0040] < 0.8 * gains[0.0020]
+
+
+def test_tune_advises_a_diagnosis_where_commissioning_found_no_single_rigid_inertia(tmp_path, capsys):
+    axis = axis_file(tmp_path)
+    rigid = [judged(name, "ok", "fine") for name in CHECKS]
+    swings = judged("motion", "warning", "it slides", "diagnose", {UNEXPLAINED_SHARE: 0.47})
+    elastic = tmp_path / "elastic.yaml"
+    found = {"share": 0.3, "frequency_hz": 30.0, "damping": 0.05}
+    effect = {"name": "elasticity", "parameters": {name: {"value": value} for name, value in found.items()}}
+    elastic.write_text(yaml.safe_dump(yaml.safe_load(TABLE_1.read_text()) | {"effects": [effect]}))
+
+    def warnings_with(checks: list, model: Path) -> str:
+        write_record(tmp_path / NAME, record_for(axis, IDENTITY, checks))
+        assert main(["tune", str(model), "--out", str(tmp_path / "out"), "--axis", str(axis), "--json"]) == 0
+        return " ".join(json.loads(capsys.readouterr().out)["warnings"])
+
+    assert "rigid inertia" not in warnings_with(rigid, TABLE_1)
+    moved = [swings, *(check for check in rigid if check.name != "motion")]
+    assert "leaves 47 % of the velocity variance unexplained" in warnings_with(moved, TABLE_1)
+    assert "rigid inertia" not in warnings_with(moved, elastic)  # it has been diagnosed
 
 
 def test_the_axis_file_that_tune_writes_finds_eds_and_profile_of_its_own(tmp_path, capsys):

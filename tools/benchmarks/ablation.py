@@ -11,6 +11,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from common import made_by
+
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
 from fffo_drive.config.sections import FeedforwardSection
@@ -158,13 +160,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# What each part contributes",
         "",
-        "Made by tools/benchmarks/ablation.py. paper: five surfaces, 0.01 to 10 Hz, friction parameters 10 % wrong",
+        "paper: five surfaces, 0.01 to 10 Hz, friction parameters 10 % wrong",
         "with random signs. hard: 0.1 to 1.5 rps, cogging, dwell, asymmetry, friction 30 % and inertia 20 % wrong,",
         "delay 20 % too short. smooth: one sine of 15 rps and 1 Hz, a single surface that the model describes exactly.",
         "",
     ]
     for name, summary in summaries.items():
         lines += table(name, summary)
+    lines.append(made_by("ablation.py"))
     (HERE / "results" / "ablation.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     write_overview(picture(summaries), [PICTURE])
     print("\n".join(lines))

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import RESULTS, ROOT, commit, machine, progress_bar
+from common import RESULTS, ROOT, made_by, progress_bar
 
 from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis
 from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, PaperProfile, RestSection
@@ -253,7 +253,7 @@ def run() -> int:
         *(f"| {name} | {c:.3f} | {w:.3f} |" for name, c, w in excited_shares()),
         "",
         f"{THERMAL}. The first {BEGUN} minutes are left out, and the first {SKIPPED_S:g} s of each. "
-        f"Made by `tools/benchmarks/adaptation.py` on {commit()}, {machine()}.",
+        + made_by("adaptation.py"),
     ]
     text = "\n".join(lines) + "\n"
     (RESULTS / "adaptation.md").write_text(text, encoding="utf-8")

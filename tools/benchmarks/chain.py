@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import RESULTS, ROOT, commit, machine, progress_bar
+from common import RESULTS, ROOT, commit, made_by, progress_bar
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import RandomAxis, wide_axis
 from trial_axes.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
@@ -406,8 +406,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "Only the torque constant is given, 5 % wrong.",
         "",
         *table(found),
-        f"Made by `tools/benchmarks/chain.py` on {time.strftime('%Y-%m-%d')}, commit {commits}, {machine()}; "
-        f"{np.median([one.seconds for one in found]):.1f} s an axis.",
+        f"{made_by('chain.py', commits)} {np.median([one.seconds for one in found]):.1f} s an axis.",
     ]
     options.out.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -30,7 +29,7 @@ from chain import (
     read_rows,
     tuned,
 )
-from common import RESULTS, commit, machine, progress_bar
+from common import RESULTS, made_by, progress_bar
 from trial_axes.random_axis import wide_axis
 from trial_axes.robustness import PLATEAU_S, RAMP_S, SPEEDS_RPS, STABLE, probe, probe_profiles
 
@@ -165,8 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         share = None if progress is None else (lambda done: progress(done / len(jobs)))
         found = over_cores(cause_of, jobs, progress=share)
     lines = table(found, len(rows))
-    ended = time.strftime("%Y-%m-%d")
-    lines += ["", f"Made by `tools/benchmarks/chain_causes.py` on {ended}, commit {commit()}, {machine()}."]
+    lines += ["", made_by("chain_causes.py")]
     (RESULTS / "chain_causes.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
 

@@ -127,10 +127,22 @@ class Report:
         figures = ["| figure | value | target | |", "| --- | --- | --- | --- |"]
         figures += [f"| {line.what} | {line.figure} | {line.target} | {verdict[line.met]} |" for line in self.lines]
         notes = "\n".join(f"- {note}" for note in self.notes)
-        made = f"Made by `tools/benchmarks/{self.name}` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}."
         ratios = "Ratios: median of paired ratios over interleaved passes (95 % bootstrap interval)."
-        parts = [f"# {self.name}", self.purpose, "\n".join(figures), *self.tables, notes, f"{ratios} {made}"]
+        parts = [
+            f"# {self.name}",
+            self.purpose,
+            "\n".join(figures),
+            *self.tables,
+            notes,
+            f"{ratios} {made_by(self.name)}",
+        ]
         return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def made_by(name: str, commits: str | None = None) -> str:
+    """The last line of a table: program, date, commits (None: the present one) and machine."""
+    date = time.strftime("%Y-%m-%d")
+    return f"Made by `tools/benchmarks/{name}` on {date}, commit {commits or commit()}, {machine()}."
 
 
 def machine() -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from common import commit, machine
+from common import commit, made_by
 from scipy.stats import binomtest
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import SPREAD, random_axis
@@ -402,8 +402,7 @@ def preface(made_from: str, seconds: float) -> list[str]:
         "without effects, and their gains are scaled with them; they do not know the effects. x: median over axes of",
         "the other law's true ISE over that of this one. The peers' loop has the law's current limit, but no envelope.",
         "",
-        f"Made by tools/benchmarks/control_peers.py on {time.strftime('%Y-%m-%d')}, commit {made_from}, {machine()};",
-        f"{seconds:.0f} s.",
+        f"{made_by('control_peers.py', made_from)} {seconds:.0f} s.",
         "",
     ]
 

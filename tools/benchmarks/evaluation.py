@@ -14,6 +14,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from common import made_by
+
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import Scenario, cases_of, read_scenario, select_controllers
 from fffo_drive.evaluation.campaign import run_campaign
@@ -136,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# Evaluation",
         "",
-        "Made by tools/benchmarks/evaluation.py; intervals are 95 %, over resampled seeds.",
+        "Intervals are 95 %, over resampled seeds.",
         "",
     ]
     paper, _ = evaluate(read_scenario(SCENARIOS / "paper.yaml"), options.seeds)
@@ -171,6 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{runs} evaluations of 60 s on {cores} cores: {seconds:.0f} s without compiling, with a load average of "
         f"{os.getloadavg()[0]:.1f}; {spent_s:.0f} s of processor time, so {spent_s / cores:.0f} s on cores of its own.",
         "",
+        made_by("evaluation.py"),
     ]
     (HERE / "results" / "evaluation.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))

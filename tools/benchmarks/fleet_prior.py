@@ -11,7 +11,6 @@ drives whose records exist.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import yaml
-from common import RESULTS, ROOT, commit, machine, progress_bar
+from common import RESULTS, ROOT, made_by, progress_bar
 from lives_plant import NONE, SPEED_RPS, Life, life_runs, lives, recorded
 from lives_records import THERMOMETER_K, RealLife, make_life, read_life, row_of, without_temperature
 
@@ -233,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                f"{100 * b / OTHERS:.0f} %"] for more, (a, b) in zip(MORE_FRICTION, others, strict=True)),
         ]), "",
         "By the staircase of 5 s. Reported among drives of the population itself: " + "; ".join(wrongly) + ".", "",
-        f"Made by `tools/benchmarks/fleet_prior` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.",
+        made_by("fleet_prior"),
     ]  # fmt: skip
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from common import RESULTS, ROOT, commit, machine, progress_bar
+from common import RESULTS, ROOT, made_by, progress_bar
 from lives_plant import BACKLASH, COULOMB, NONE, RIPPLE, WEARS, Life, lives
 from lives_records import (
     RealLife,
@@ -340,7 +340,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"(seed {CALIBRATING}); `watch` uses its theoretical bound without calibration.",
         f"- `watch` took {took:.1f} s of processor time for {options.drives * RUNS} records, learning included.",
         "",
-        f"Made by `tools/benchmarks/fleet_watch.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.",
+        made_by("fleet_watch.py"),
     ]  # fmt: skip
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from common import progress_bar
+from common import made_by, progress_bar
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import RandomAxis, random_axis
 from trial_axes.robustness import STABLE, Probe, probe
@@ -217,8 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# Robustness",
         "",
-        "Made by tools/benchmarks/robustness.py. Gains of configs/scenarios/paper.yaml, tuned to the nominal axis and",
-        "not retuned. tools/trial_axes/robustness.py defines unstable and limit cycle.",
+        "Gains of configs/scenarios/paper.yaml, tuned to the nominal axis and not retuned.",
+        "tools/trial_axes/robustness.py defines unstable and limit cycle.",
         "",
         "Linear margins on the nominal axis: "
         + ", ".join(
@@ -235,6 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         *sweep_table("More delay on the nominal axis", "beyond 3 ms, ms", by_delay),
         *sweep_table("More gain on the nominal axis (Kp, Ki and L together)", "factor", by_gain),
         *sweep_table("Friction damping over 100:1", "all friction times", by_damping),
+        made_by("robustness.py"),
     ]
     (HERE / "results" / "robustness.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +17,7 @@ from unittest.mock import patch
 
 import numpy as np
 from chain import SCENARIO, declared_nm_per_a, excitations, facts_of
-from common import RESULTS, commit, machine, progress_bar
+from common import RESULTS, made_by, progress_bar
 from trial_axes.random_axis import wide_axis
 
 from fffo_drive.config.scenario import case_of, read_scenario
@@ -97,9 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         done = (lambda count: progress(count / len(jobs))) if progress is not None else None
         found = over_cores(run_job, jobs, progress=done)
     lines = ["# static_friction", "", *table(found), ""]
-    lines.append(
-        f"Made by `tools/benchmarks/static_friction.py` on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}."
-    )
+    lines.append(made_by("static_friction.py"))
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
 

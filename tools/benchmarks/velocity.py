@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import RESULTS, ROOT, commit, machine, progress_bar
+from common import RESULTS, ROOT, made_by, progress_bar
 
 from fffo_drive.config.checks import law_margins, rest_margins
 from fffo_drive.config.scenario import ControllerVariant, Scenario, axis_of, cases_of, read_scenario
@@ -217,8 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [
         "# Velocity from position and torque",
         "",
-        f"Made by tools/benchmarks/velocity.py: {options.seeds} seeds of {options.duration_s:g} s each, friction 10 % "
-        "wrong with random signs,",
+        f"{options.seeds} seeds of {options.duration_s:g} s each, friction 10 % wrong with random signs,",
         "five surfaces, 3 ms end to end. True ISE in per cent of PI+FFFO and of PI+FFFO+ on the drive's velocity, 95 %",
         "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin",
         "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; each margin is the smaller",
@@ -230,7 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         lines += table(sensor, options.duration_s, options.seeds)
     for sensor in TRACKING_HZ:
         lines += wrong_inertia(sensor, options.duration_s, options.seeds)
-    lines.append(f"Made on {time.strftime('%Y-%m-%d')}, commit {commit()}, {machine()}.")
+    lines.append(made_by("velocity.py"))
     (RESULTS / "velocity.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))
 
