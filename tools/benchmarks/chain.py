@@ -177,8 +177,14 @@ def identified(case: Case, number: int, controller: ControllerConfig, constant_n
     return model_file(fit, records, f"axis {number}")
 
 
-def diagnosed(case: Case, controller: ControllerConfig, constant_nm_per_a: float, model: ModelFile) -> ModelFile:
-    """The model with what `diagnose` finds on the same runs; as it is where it finds nothing or cannot tell."""
+def diagnosed_where_advised(
+    case: Case, controller: ControllerConfig, constant_nm_per_a: float, model: ModelFile, measured: Commissioned
+) -> ModelFile:
+    """Where `tune` advises it, the model with what `diagnose` finds on the same runs; else, and where it finds nothing
+    or cannot tell, the model as it is.
+    """
+    if not needs_diagnosis(model, measured):
+        return model
     try:
         found = diagnose(excitations(case, controller, constant_nm_per_a), [], facts_of(constant_nm_per_a))
     except DataError:
@@ -258,8 +264,7 @@ def run_job(job: Job) -> Outcome:
         measured = commission_axis(case, scenario.model, constant_nm_per_a)
         model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
         fitted_s = model.delay_s.value
-        if needs_diagnosis(model, measured):
-            model = diagnosed(case, nominal.controller, constant_nm_per_a, model)
+        model = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
         candidate, phase_deg, share = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         refused = str(error).splitlines()[0]

@@ -23,6 +23,7 @@ from chain import (
     at_rest_counts,
     commission_axis,
     declared_nm_per_a,
+    diagnosed_where_advised,
     excitations,
     facts_of,
     identified,
@@ -104,7 +105,8 @@ def cause_of(job: tuple[int, str, float, Case]) -> Cause:
     constant_nm_per_a = declared_nm_per_a(axis)
     measured = commission_axis(case, scenario.model, constant_nm_per_a)
     model = identified(case, number, nominal.controller, constant_nm_per_a)
-    candidate, _, _ = tuned(scenario.axis, model, measured)
+    followed = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
+    candidate, _, _ = tuned(scenario.axis, followed, measured)
     accepted: tuple[str, ...] = ()
     try:
         runs = excitations(case, nominal.controller, constant_nm_per_a)
