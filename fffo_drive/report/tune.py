@@ -44,7 +44,7 @@ class TuneSource(NamedTuple):
     section: str  # the controller section, as YAML
     written: Sequence[Path]  # files, the axis file last where there is one
     commands: Sequence[str]
-    on_the_estimate: float | None = None  # Ki Kt + L there, over that of the design; None: not possible, or in use
+    on_the_estimate: float | None = None  # Ki Kt + L there, over that of the design; None: no gain, or in use
 
 
 def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> Report:

@@ -97,7 +97,7 @@ def allowed_by_estimate(
 ) -> float | None:
     """How many times the integral action Ki Kt + L the same margins allow where the velocity is estimated.
 
-    None where the file has the estimate already, or the loop cannot have it.
+    None where the file has the estimate already, or the loop cannot have it or gains nothing.
     """
     controller = axis_file.controller
     if controller.velocity.estimated:
@@ -117,12 +117,16 @@ def allowed_by_estimate(
             "proportional_a_per_rps": gains.proportional_a_per_rps,
             "integral_a_per_rev": gains.integral_a_per_rev,
             "observer": estimated.observer.model_copy(update={"gain_nm_per_rev": gains.observer_nm_per_rev}),
+            "at_rest": estimated.at_rest.model_copy(
+                update={"gain_share": gains.rest_share, "hold_a_per_rev_s": gains.hold_a_per_rev_s}
+            ),
         }
     )
     if fallback_problems(other.model_copy(update={"controller": estimated}), model, observer_on=True):
         return None
     kt = model.torque_constant_nm_per_a
-    return gains.integral_action_nm_per_rev(kt) / found.gains.integral_action_nm_per_rev(kt)
+    ratio = gains.integral_action_nm_per_rev(kt) / found.gains.integral_action_nm_per_rev(kt)
+    return ratio if ratio > 1.0 else None
 
 
 def undetermined(model: ModelFile) -> list[str]:
