@@ -408,6 +408,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "# chain",
         "",
         "The chain on random axes: commission, excite (70 s of the paper's chirps of current), identify, tune, run.",
+        "Where commissioning finds no single rigid inertia, diagnose comes before tune, as tune advises.",
         "Only the torque constant is given, 5 % wrong.",
         "",
         *table(found),
