@@ -43,6 +43,13 @@ def program_missing(name: str, package: str) -> str | None:
     return None if shutil.which(name, path=SEARCHED) else f"no {name}; on Debian: apt install {package}"
 
 
+def uml_missing() -> str | None:
+    """The kernel, and a processor on which it runs (tools/uml/run)."""
+    if "amx_tile" in Path("/proc/cpuinfo").read_text().split():
+        return "this processor has AMX, whose registers the user-mode kernel cannot restore"
+    return program_missing("linux.uml", "user-mode-linux")
+
+
 def node_canopen_missing() -> str | None:
     """The npm package `canopen`."""
     if shutil.which("node") is None:
@@ -62,7 +69,7 @@ def browser_missing() -> str | None:
 
 NEEDS: dict[str, Callable[[], str | None]] = {
     "vcan": vcan_missing,
-    "uml": lambda: program_missing("linux.uml", "user-mode-linux"),
+    "uml": uml_missing,
     "systemd": lambda: None if Path("/lib/systemd/systemd-udevd").exists() else "on Debian: apt install systemd udev",
     "tshark": lambda: program_missing("tshark", "tshark"),
     "can_utils": lambda: program_missing("candump", "can-utils"),

@@ -136,10 +136,10 @@ def diagnosed(name: str, facts: DriveFacts = FACTS) -> Callable[[Records], Answe
 
 def _timeless(content: Answer) -> Answer:
     # which shape of a law that nobody chose is best, and whether it is beside the base at all, may turn on rounding;
-    # so may the shape of one that is refused since it is implausible
+    # so may one that was examined and rejected
     left_out = ("seconds", "model_before", "model_after", "tried")
     kept = {key: value for key, value in content.items() if key not in left_out}
-    kept["effects"] = [{"name": one["name"]} if one["reason"] else one for one in content["effects"]]
+    kept["effects"] = [one for one in content["effects"] if not one["reason"]]
     return kept
 
 
