@@ -129,7 +129,7 @@ def estimate_text(ratio: float) -> str:
     """What the estimated velocity would allow, for the page and the terminal."""
     return (
         f"with `controller.velocity: {{source: estimated}}` the same margins allow {significant(ratio, 2)} times the "
-        "integral action Ki Kt + L; to use it, set it in the axis file and tune again"
+        "integral action Ki Kt + L; to use the estimate, set this key in the axis file and tune again"
     )
 
 

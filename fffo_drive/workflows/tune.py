@@ -11,7 +11,6 @@ from .. import formats
 from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
-from ..config.sections import VelocitySection
 from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
@@ -102,7 +101,8 @@ def allowed_by_estimate(
     controller = axis_file.controller
     if controller.velocity.estimated:
         return None
-    estimated = controller.model_copy(update={"velocity": VelocitySection(source="estimated")})
+    velocity = controller.velocity.model_copy(update={"source": "estimated"})
+    estimated = controller.model_copy(update={"velocity": velocity})
     other = axis_file.model_copy(update={"controller": estimated})
     if velocity_problems(other, model):
         return None

@@ -159,5 +159,5 @@ def fit_two_surfaces(
             period_s,
         )
         for speed in SECOND_SPEEDS
-    ]  # fmt: skip
+    ]
     return min(found, key=lambda one: one.left)

@@ -45,9 +45,7 @@ def on_the_estimate(
         bandwidth_hz, axis.inertia_nm_s2_per_rev, axis.torque_constant_nm_per_a, delay_s - 0.5 * common.period_s,
         common.period_s, *limits_rps,
     )  # fmt: skip
-    linear = LinearAxis(
-        axis.inertia_nm_s2_per_rev, 0.0, delay_s, axis.torque_constant_nm_per_a, estimator=estimator
-    )  # fmt: skip
+    linear = LinearAxis(axis.inertia_nm_s2_per_rev, 0.0, delay_s, axis.torque_constant_nm_per_a, estimator=estimator)
     wish = Wish(phase_margin_deg=design.margins.phase_deg, gain_margin=design.margins.gain)
     proportional, integral = common.pi
 
