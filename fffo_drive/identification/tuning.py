@@ -26,9 +26,6 @@ REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to i
 # of Kp and Ki at rest, the largest first: half costs nothing in motion and covers an axis that differs by 30 %
 # (results/robustness.md)
 REST_SHARES = np.geomspace(0.5, 0.02, 33)
-# of the largest hold with the margin at rest, times the share of Kp and Ki: a contact that is loaded towards its
-# Coulomb friction is softer, and where the share is small, the hold must be slow as well (results/position_hold.md)
-HOLD_SHARE = 0.5
 FRICTION_SPAN = 100.0  # required range of friction damping
 PHASE_MARGIN_DEG = 45.0
 GAIN_MARGIN = 2.5
@@ -201,10 +198,13 @@ def rest_margins(stuck: Sequence[LinearAxis], gains: Gains) -> Margins:
 
 
 def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:
-    """Integral gain of the hold (A/rev/s): a share of the largest with `REST_MARGIN_DEG` on the stuck axis.
+    """Integral gain of the hold (A/rev/s): the largest with `REST_MARGIN_DEG` on the stuck axis, times the share of Kp
+    and Ki.
 
     On the contact's spring k alone the hold is an integrator of bandwidth gain Kt / k, which a softer contact makes
-    faster. It can be no faster than the spring's resonance.
+    faster. It can be no faster than the spring's resonance. A contact that is loaded towards its Coulomb friction is
+    softer, and where the share is small, the hold must be slow as well: with twice as much axes creep no less, with
+    four times more do, and a load step is brought back less well (results/position_hold.md).
     """
 
     def holds(gain: float) -> bool:
@@ -214,7 +214,7 @@ def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:
     softest = min(stuck, key=lambda one: one.contact_nm_per_rev)
     contact, constant = softest.contact_nm_per_rev, softest.torque_constant_nm_per_a
     most = math.sqrt(contact / softest.inertia_nm_s2_per_rev) * contact / constant
-    return HOLD_SHARE * gains.rest_share * largest_that(most, holds)
+    return gains.rest_share * largest_that(most, holds)
 
 
 def rest_share(stuck: Sequence[LinearAxis], proportional: float, integral: float) -> float:

@@ -26,6 +26,7 @@ from chain import (
     commission_axis,
     crept_counts,
     declared_nm_per_a,
+    diagnosed_where_advised,
     identified,
     tuned,
 )
@@ -46,15 +47,15 @@ from fffo_drive.drive.simulated.effects.registry import EFFECTS
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
-from fffo_drive.identification.tuning import HOLD_SHARE
 from fffo_drive.jit import njit
 
 NAME = "position_hold"
-FIRST = 6000  # no choice was made on axes from here to 6999
-AXES = 20
-SHARES = (0.0625, 0.125, 0.25, 0.5, 1.0)  # of the largest gain with the margin at rest, times the share of Kp and Ki
-TRAVELS = (1.0, 8.0, 128.0)  # in dead bands, beside the one in use
+FIRST = 6200  # no choice was made on axes from here to 6999; the gain was chosen on 6100 to 6159
+AXES = 60
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the gain in use
+TRAVELS = (1.0, 128.0)  # in dead bands, beside the one in use
 NOT_HELD = "not held"
+IN_USE = "gain 1"
 
 STOPS_S = (1.6, 9.3, 15.0, 20.7)  # where each motion has ended; rest follows
 STARTS_S = (8.6, 14.3, 20.0)  # same direction, other direction, under the load
@@ -140,8 +141,8 @@ def variants_of(law: ControllerConfig, contact_travel_rev: float) -> dict[str, C
     """The law with every hold."""
     hold = law.rest.hold
     holds = {NOT_HELD: NO_HOLD}
-    for share in SHARES:
-        holds[f"share {share:g}"] = hold._replace(integral_a_per_rev_s=share / HOLD_SHARE * hold.integral_a_per_rev_s)
+    for factor in FACTORS:
+        holds[f"gain {factor:g}"] = hold._replace(integral_a_per_rev_s=factor * hold.integral_a_per_rev_s)
     for bands in TRAVELS:
         travel_rev = max(contact_travel_rev, bands * hold.dead_band_rev)
         holds[f"travel {bands:g}"] = hold._replace(travel_rev=travel_rev)
@@ -218,6 +219,7 @@ def outcome_of(job: Job) -> Outcome:
     try:
         measured = commission_axis(case, scenario.model, constant_nm_per_a)
         model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
+        model = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
         candidate, _, _ = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
@@ -234,9 +236,9 @@ def label(name: str) -> str:
     kind, _, value = name.partition(" ")
     if name == NOT_HELD:
         return name
-    if kind == "share":
-        return f"{value} of the largest gain times the share at rest, {HELD_DEAD_BANDS:g} dead bands"
-    return f"{HOLD_SHARE:g} of the largest gain times the share at rest, {value} dead bands"
+    if kind == "gain":
+        return f"{value} times the gain, {HELD_DEAD_BANDS:g} dead bands"
+    return f"the gain, {value} dead bands"
 
 
 def grid_rows(found: list[Outcome]) -> list[list[str]]:
@@ -266,7 +268,7 @@ def grid_rows(found: list[Outcome]) -> list[list[str]]:
 
 def costs(report: Report, found: list[Outcome]) -> None:
     """The hold in use against none, axis by axis."""
-    held = [one.variants[f"share {HOLD_SHARE:g}"] for one in found]
+    held = [one.variants[IN_USE] for one in found]
     free = [one.variants[NOT_HELD] for one in found]
 
     def compared(what: str, values: list[float], base: list[float]) -> None:
@@ -307,7 +309,7 @@ def run() -> int:
     report.facts["left out"] = {str(one.number): one.refused for one in done if one.refused}
     if found:
         costs(report, found)
-        held = [one.variants[f"share {HOLD_SHARE:g}"].creep_counts for one in found]
+        held = [one.variants[IN_USE].creep_counts for one in found]
         report.figure("axes that creep over 5 counts, held", sum(one > MOST_CREEP_COUNTS for one in held), "", 0)
         report.facts["variants"] = {
             name: {
@@ -324,9 +326,10 @@ def run() -> int:
         if one.refused:
             report.notes.append(f"{one.number} ({one.law}) is omitted: {one.refused}")
     report.notes.append(
-        f"In use: {HOLD_SHARE:g} of the largest gain (`HOLD_SHARE`), {HELD_DEAD_BANDS:g} dead bands "
-        f"(`HELD_DEAD_BANDS`) or 1/K if that is more. Load: {LOAD_SHARE:g} of the true Coulomb friction. Delay: of the "
-        f"shaft at half the speed, behind the reference; ISE of a start: its first {STARTED_S:g} s."
+        "In use: the gain of tune (the largest with its margin at rest, times the share of Kp and Ki), "
+        f"{HELD_DEAD_BANDS:g} dead bands (`HELD_DEAD_BANDS`) or 1/K if that is more. Load: {LOAD_SHARE:g} of the "
+        "true Coulomb friction. Delay: of the shaft at half the speed, behind the reference; ISE of a start: its first "
+        f"{STARTED_S:g} s."
     )
     return finish(report, chosen)
 
