@@ -203,8 +203,8 @@ def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:
 
     On the contact's spring k alone the hold is an integrator of bandwidth gain Kt / k, which a softer contact makes
     faster. It can be no faster than the spring's resonance. A contact that is loaded towards its Coulomb friction is
-    softer, and where the share is small, the hold must be slow as well: with twice as much axes creep no less, with
-    four times more do, and a load step is brought back less well (results/position_hold.md).
+    softer, and where the share is small, the hold must be slow as well: at four times this gain axes hunt
+    (results/position_hold.md).
     """
 
     def holds(gain: float) -> bool:
