@@ -143,21 +143,26 @@ def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period
 def fit_two_surfaces(
     two_state: FrictionConfig, velocity_rps: Floats, friction_nm: Floats, period_s: float
 ) -> FittedPeer:
-    """Both surfaces together, from the fitted 2SEP model; arrays (n,)."""
+    """Both surfaces together, from the fitted 2SEP model and from Table I; arrays (n,).
+
+    A single surface may bend itself far to stand for two (on GMS its Fc goes to its bound), and no second one brings it
+    back from there.
+    """
     found = [
         fit_friction(
             TwoSurfaces(
-                *two_state,
-                SECOND_SHARE * two_state.coulomb_nm,
-                SECOND_SHARE * abs(two_state.static_nm - two_state.coulomb_nm),
-                TRAVEL_RATIO / two_state.stiffness_per_rev,
-                speed * two_state.stribeck_velocity_rps,
-                MEMORY_RATIO * two_state.static_nm / two_state.attraction_nm_per_rev,
+                *first,
+                SECOND_SHARE * first.coulomb_nm,
+                SECOND_SHARE * abs(first.static_nm - first.coulomb_nm),
+                TRAVEL_RATIO / first.stiffness_per_rev,
+                speed * first.stribeck_velocity_rps,
+                MEMORY_RATIO * first.static_nm / first.attraction_nm_per_rev,
             ),
             velocity_rps,
             friction_nm,
             period_s,
         )
+        for first in (two_state, TABLE_1)
         for speed in SECOND_SPEEDS
     ]
     return min(found, key=lambda one: one.left)
