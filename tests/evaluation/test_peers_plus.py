@@ -26,6 +26,7 @@ from fffo_drive.evaluation.peers.lugre import LugreConfig
 from fffo_drive.evaluation.peers.maxwell_slip import SlipConfig
 from fffo_drive.evaluation.peers.plus import on_the_estimate, with_second_surface
 from fffo_drive.evaluation.trace import trace_of
+from fffo_drive.model.friction import FrictionConfig
 
 PAPER = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.yaml"
 PERIOD_S = 0.0005
@@ -103,12 +104,17 @@ def test_a_law_with_an_observer_in_its_loop_is_refused(case, design, laws):
         on_the_estimate(laws["dob+"], design, axis_numbers(case.plant), BANDWIDTH_HZ, LIMITS_RPS)
 
 
-def test_two_surfaces_are_found_along_a_motion_through_them():
+# as fitted to GMS friction: a single surface that stands for several
+BENT = FrictionConfig(4.58e-4, 0.288, 0.0134, 0.182, 0.00465, 14.2, 7.94, TABLE_1.omega_form)
+
+
+@pytest.mark.parametrize("start", [TABLE_1, BENT], ids=["table 1", "a bent surface"])
+def test_two_surfaces_are_found_along_a_motion_through_them(start):
     time_s = np.arange(0.0, 20.0, PERIOD_S)
     velocity_rps = 2.0 * np.sin(2.0 * np.pi * 0.4 * time_s) + 0.7 * np.sin(2.0 * np.pi * 1.3 * time_s)
     true_nm = friction_along(SURFACES, velocity_rps, PERIOD_S)
     single_nm = friction_along(TABLE_1, velocity_rps, PERIOD_S)
-    found = fit_two_surfaces(TABLE_1, velocity_rps, true_nm, PERIOD_S)
+    found = fit_two_surfaces(start, velocity_rps, true_nm, PERIOD_S)
     alone = np.sqrt(np.mean((single_nm - true_nm) ** 2) / np.mean(true_nm**2))
     assert found.left < 0.01 < 0.1 * alone
     assert found.model.level_nm == pytest.approx(SURFACES.level_nm, rel=0.2)
