@@ -11,7 +11,7 @@ from .. import formats
 from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
-from ..control.stability import LinearAxis, stick_slip_rps, stuck_axes
+from ..control.stability import RIGID, LinearAxis, stick_slip_rps, stuck_axes
 from ..documents import DocumentError
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
 from ..identification.uncertainty import ADVICE, UNKNOWN_SD
@@ -52,12 +52,13 @@ def tune(
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
-    elasticity make a fitted delay too short; the longer of the two is designed for. An axis that did not move as a
-    single rigid inertia, and a model without effects, is a warning.
+    elasticity make the delay of a rigid model too short; the longer of the two is designed for. Where the model has the
+    elasticity, its own delay is: commissioning takes the axis for rigid. An axis that did not move as a single rigid
+    inertia, and a model without effects, is a warning.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
-    longer_s = max(0.0, (commissioned.delay_s or 0.0) - model.delay_s.value)
+    longer_s = max(0.0, (commissioned.delay_s or 0.0) - model.delay_s.value) if axis.elastic == RIGID else 0.0
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)

@@ -153,15 +153,22 @@ def test_tune_advises_a_diagnosis_where_commissioning_found_no_single_rigid_iner
     effect = {"name": "elasticity", "parameters": {name: {"value": value} for name, value in found.items()}}
     elastic.write_text(yaml.safe_dump(yaml.safe_load(TABLE_1.read_text()) | {"effects": [effect]}))
 
-    def warnings_with(checks: list, model: Path) -> str:
+    def tuned_with(checks: list, model: Path) -> tuple[str, float]:
         write_record(tmp_path / NAME, record_for(axis, IDENTITY, checks))
         assert main(["tune", str(model), "--out", str(tmp_path / "out"), "--axis", str(axis), "--json"]) == 0
-        return " ".join(json.loads(capsys.readouterr().out)["warnings"])
+        result = json.loads(capsys.readouterr().out)
+        return " ".join(result["warnings"]), result["axis"]["delay_s"]
 
-    assert "rigid inertia" not in warnings_with(rigid, TABLE_1)
-    moved = [swings, *(check for check in rigid if check.name != "motion")]
-    assert "leaves 47 % of the velocity variance unexplained" in warnings_with(moved, TABLE_1)
-    assert "rigid inertia" not in warnings_with(moved, elastic)  # it has been diagnosed
+    assert "rigid inertia" not in tuned_with(rigid, TABLE_1)[0]
+    late = judged("delay", "ok", "").model_copy(update={"measured": 0.019})  # an elastic axis as a rigid one
+    moved = [swings, late, *(check for check in rigid if check.name not in ("motion", "delay"))]
+    said, delay_s = tuned_with(moved, TABLE_1)
+    assert "leaves 47 % of the velocity variance unexplained" in said
+    assert delay_s == pytest.approx(0.01925)
+    said, delay_s = tuned_with(moved, elastic)  # it has been diagnosed, and has the delay that goes with the elasticity
+    assert "rigid inertia" not in said
+    assert "commissioning" not in said
+    assert delay_s == pytest.approx(0.003)
 
 
 def test_the_axis_file_that_tune_writes_finds_eds_and_profile_of_its_own(tmp_path, capsys):

@@ -167,26 +167,30 @@ def facts_of(constant_nm_per_a: float) -> DriveFacts:
     return DriveFacts(torque_constant_nm_per_a=constant_nm_per_a, rated_current_a=RATED_A)
 
 
-def identified(case: Case, number: int, controller: ControllerConfig, constant_nm_per_a: float) -> ModelFile:
-    """The model of the axis, from these runs; with twice the current where `identify` asks for more (Fc in doubt)."""
+def identified(
+    case: Case, number: int, controller: ControllerConfig, constant_nm_per_a: float
+) -> tuple[ModelFile, list[Record]]:
+    """The model of the axis, and the runs that it is from: with twice the current where `identify` asks for more (Fc in
+    doubt).
+    """
     for factor in (1.0, MORE_CURRENT):
         records = excitations(case, controller, constant_nm_per_a, factor)
         fit = fit_records(records, FitSettings(compare_literal=False), facts_of(constant_nm_per_a))
         if all(doubt.name != "coulomb_nm" for doubt in fit.uncertainty.doubts):
             break
-    return model_file(fit, records, f"axis {number}")
+    return model_file(fit, records, f"axis {number}"), records
 
 
 def diagnosed_where_advised(
-    case: Case, controller: ControllerConfig, constant_nm_per_a: float, model: ModelFile, measured: Commissioned
+    records: list[Record], constant_nm_per_a: float, model: ModelFile, measured: Commissioned
 ) -> ModelFile:
-    """Where `tune` advises it, the model with what `diagnose` finds on the same runs; else, and where it finds nothing
-    or cannot tell, the model as it is.
+    """Where `tune` advises it, the model with what `diagnose` finds on the runs of `identify`; else, and where it finds
+    nothing or cannot tell, the model as it is.
     """
     if not needs_diagnosis(model, measured):
         return model
     try:
-        found = diagnose(excitations(case, controller, constant_nm_per_a), [], facts_of(constant_nm_per_a))
+        found = diagnose(records, [], facts_of(constant_nm_per_a))
     except DataError:
         return model
     return model if found.model_after is None else found.model_after
@@ -262,9 +266,9 @@ def run_job(job: Job) -> Outcome:
     constant_nm_per_a = declared_nm_per_a(axis)
     try:
         measured = commission_axis(case, scenario.model, constant_nm_per_a)
-        model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
+        model, records = identified(case, axis.number, nominal.controller, constant_nm_per_a)
         fitted_s = model.delay_s.value
-        model = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
+        model = diagnosed_where_advised(records, constant_nm_per_a, model, measured)
         candidate, phase_deg, share = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         refused = str(error).splitlines()[0]

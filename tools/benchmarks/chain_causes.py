@@ -24,7 +24,6 @@ from chain import (
     commission_axis,
     declared_nm_per_a,
     diagnosed_where_advised,
-    excitations,
     facts_of,
     identified,
     read_rows,
@@ -104,12 +103,11 @@ def cause_of(job: tuple[int, str, float, Case]) -> Cause:
     case = case._replace(plant=axis.plant)
     constant_nm_per_a = declared_nm_per_a(axis)
     measured = commission_axis(case, scenario.model, constant_nm_per_a)
-    model = identified(case, number, nominal.controller, constant_nm_per_a)
-    followed = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
+    model, runs = identified(case, number, nominal.controller, constant_nm_per_a)
+    followed = diagnosed_where_advised(runs, constant_nm_per_a, model, measured)
     candidate, _, _ = tuned(scenario.axis, followed, measured)
     accepted: tuple[str, ...] = ()
     try:
-        runs = excitations(case, nominal.controller, constant_nm_per_a)
         found = diagnose(runs, [], facts_of(constant_nm_per_a))
         accepted = tuple(finding.name for finding in found.findings if finding.accepted)
         after = "nothing found"

@@ -218,8 +218,8 @@ def outcome_of(job: Job) -> Outcome:
         return Outcome(axis.number, axis.law, "gives energy", {})
     try:
         measured = commission_axis(case, scenario.model, constant_nm_per_a)
-        model = identified(case, axis.number, nominal.controller, constant_nm_per_a)
-        model = diagnosed_where_advised(case, nominal.controller, constant_nm_per_a, model, measured)
+        model, records = identified(case, axis.number, nominal.controller, constant_nm_per_a)
+        model = diagnosed_where_advised(records, constant_nm_per_a, model, measured)
         candidate, _, _ = tuned(scenario.axis, model, measured)
     except (ValueError, DocumentError) as error:
         return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
