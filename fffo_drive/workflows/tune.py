@@ -131,10 +131,11 @@ def allowed_by_estimate(
 
 
 def undetermined(model: ModelFile) -> list[str]:
-    """A sentence for each of inertia and Coulomb friction that the data of a fitted model hardly determine.
+    """A sentence for each of inertia, viscous and Coulomb friction that the data of a fitted model hardly determine.
 
     If the excitation hardly moved the axis, many pairs of viscous and Coulomb friction fit its data equally well: the
-    margins may then be wrong, and the feed-forward torque may be several times the friction.
+    margins, which count on the viscous one, may then be wrong, and the feed-forward torque may be several times the
+    friction.
     """
     return [
         f"the data of the model do not determine {what}, {quantity.value:.3g} +- {quantity.sd:.2g} {unit} "
@@ -142,6 +143,7 @@ def undetermined(model: ModelFile) -> list[str]:
         "identify again"
         for key, what, quantity, unit in (
             ("inertia_nm_s2_per_rev", "inertia J", model.inertia_kg_m2, "kg m2"),
+            ("viscous_nm_per_rps", "viscous friction sigma", model.friction.viscous_nm_per_rps, "Nm/rps"),
             ("coulomb_nm", "Coulomb friction Fc", model.friction.coulomb_nm, "Nm"),
         )
         if quantity.sd is not None and quantity.sd > UNKNOWN_SD * abs(quantity.value)

@@ -53,16 +53,23 @@ def report(tmp_path_factory):
     return made(tmp_path_factory.mktemp("tune"))
 
 
-def test_a_model_whose_data_hardly_moved_the_axis_is_tuned_with_a_warning():
-    """Fc 0.014 +- 0.0052 Nm, as fitted to a chirp in which the axis moved for 4 % of the time."""
+@pytest.mark.parametrize(
+    ("key", "name", "reason"),
+    [
+        ("coulomb_nm", "Coulomb friction Fc", "too little sliding"),
+        ("viscous_nm_per_rps", "viscous friction sigma", "too narrow a range of speeds"),
+    ],
+)
+def test_a_model_whose_data_hardly_moved_the_axis_is_tuned_with_a_warning(key, name, reason):
+    """Fc 0.014 +- 0.0052 Nm was fitted to a chirp that moved the axis for 4 % of the time, sigma 3 +- 150 to another."""
     table_1 = read_model(TABLE_1)
-    for sd, warned in ((None, False), (0.2, False), (0.38, True)):
-        level = table_1.friction.coulomb_nm
+    for sd, warned in ((None, False), (0.2, False), (0.38, True), (50.0, True)):
+        level = getattr(table_1.friction, key)
         level = level.model_copy(update={"sd": None if sd is None else sd * level.value})
-        model = table_1.model_copy(update={"friction": table_1.friction.model_copy(update={"coulomb_nm": level})})
-        said = [text for text in fd.tune(model).design.warnings if "Coulomb friction Fc" in text]
+        model = table_1.model_copy(update={"friction": table_1.friction.model_copy(update={key: level})})
+        said = [text for text in fd.tune(model).design.warnings if name in text]
         assert bool(said) == warned
-        assert all("with more current" in text and "too little sliding" in text for text in said)
+        assert all("with more current" in text and reason in text for text in said)
 
 
 def test_the_page_carries_the_numbers_of_the_json_and_nothing_from_outside(report, tmp_path):
