@@ -61,7 +61,7 @@ def report(tmp_path_factory):
     ],
 )
 def test_a_model_whose_data_hardly_moved_the_axis_is_tuned_with_a_warning(key, name, reason):
-    """Fc 0.014 +- 0.0052 Nm was fitted to a chirp that moved the axis for 4 % of the time, sigma 3 +- 150 to another."""
+    """Fc 0.014 +- 0.0052 Nm was fitted to a chirp that moved the axis for 4 % of the time; sigma 3 +- 150 once."""
     table_1 = read_model(TABLE_1)
     for sd, warned in ((None, False), (0.2, False), (0.38, True), (50.0, True)):
         level = getattr(table_1.friction, key)
