@@ -52,9 +52,9 @@ def tune(
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
-    elasticity make the delay of a rigid model too short; the longer of the two is designed for. Where the model has the
-    elasticity, its own delay is: commissioning takes the axis for rigid. An axis that did not move as a single rigid
-    inertia, and a model without effects, is a warning.
+    elasticity make the delay of a rigid model too short; the longer of the two is designed for. A model with elasticity
+    is designed for with its own delay: commissioning takes the axis for rigid. An axis that did not move as a single
+    rigid inertia, and a model without effects, is a warning.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
