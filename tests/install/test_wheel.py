@@ -201,7 +201,7 @@ class User:
         began_s = time.monotonic()
         process = subprocess.Popen(
             self.words(line), cwd=self.place, env=self.environment, text=True, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=hears_interrupts,
         )  # fmt: skip
         assert process.stdout is not None
         with bounded(process.kill):
@@ -220,6 +220,11 @@ class User:
         said = "".join(heard)
         good = says in said and process.returncode in codes
         self.note(line, good, seconds, f"-> {process.returncode}\n{said}{rest}")
+
+
+def hears_interrupts() -> None:
+    """As at a terminal: a shell has its background jobs ignore Ctrl-C, and what they start as well."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @contextmanager
