@@ -18,7 +18,7 @@ from fffo_drive.runtime import blocks as b
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 
-# far more error than a machine that stalls makes: four pairs of windows decide there, too
+# its error is far larger than that of a stalling machine: four pairs of windows are enough even there
 AMPLITUDE_NM, ORDER = 0.1, 2.0
 PLANT = PlantConfig(
     effects=(EffectConfig("cogging", {"amplitude_nm": AMPLITUDE_NM, "order": ORDER, "phase_rev": 0.0}),)

@@ -160,7 +160,7 @@ def test_tune_advises_a_diagnosis_where_commissioning_found_no_single_rigid_iner
         return " ".join(result["warnings"]), result["axis"]["delay_s"]
 
     assert "rigid inertia" not in tuned_with(rigid, TABLE_1)[0]
-    late = judged("delay", "ok", "").model_copy(update={"measured": 0.019})  # an elastic axis as a rigid one
+    late = judged("delay", "ok", "").model_copy(update={"measured": 0.019})  # elastic, taken for rigid
     moved = [swings, late, *(check for check in rigid if check.name not in ("motion", "delay"))]
     said, delay_s = tuned_with(moved, TABLE_1)
     assert "leaves 47 % of the velocity variance unexplained" in said

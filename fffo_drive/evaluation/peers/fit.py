@@ -145,8 +145,8 @@ def fit_two_surfaces(
 ) -> FittedPeer:
     """Both surfaces together, from the fitted 2SEP model and from Table I; arrays (n,).
 
-    A single surface may bend itself far to stand for two (on GMS its Fc goes to its bound), and no second one brings it
-    back from there.
+    One surface fitted to the friction of several can end far from any of them (on GMS its Fc ends at its bound), and a
+    fit that starts there stays there.
     """
     found = [
         fit_friction(
