@@ -26,6 +26,7 @@ LARGEST_BYTES = 256 * 1024  # of a file, as of a line of the daemon's API: thous
 MOST_ENTRIES = 30_000  # values of a file; reading so many takes a second
 MOST_DIGITS = 40  # of a whole number
 LARGEST_JSON_BYTES = 16 * 1024 * 1024  # of a report with its curves
+MOST_KEPT = 16  # texts of files, for the lines of what is found wrong in them later
 LONGEST_SHOWN = 80  # characters of a value in a message
 DEEPEST = 32  # of mappings and lists in each other
 
@@ -33,6 +34,9 @@ _INTEGER = re.compile(r"^[-+]?\d[\d_]*$|^[-+]?0x[\da-fA-F_]+$")
 _DOTTED = re.compile(r"[a-z_]\w*(\.[a-z_]\w*)*")  # a key in its sections
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")  # a number with a decimal comma
 _FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
+
+
+_texts: dict[str, str] = {}  # by path, as last read
 
 
 class DocumentError(Exception):
@@ -161,13 +165,19 @@ def read_text(path: Path, largest_bytes: int = LARGEST_BYTES) -> str:
         if len(content) > largest_bytes:
             most = f"larger than {largest_bytes} bytes, which no file of this kind is"
             raise DocumentError(f"{path}: {most}: a text file is needed here")
-        return content.decode("utf-8")
+        text = content.decode("utf-8")
     except FileNotFoundError:
         raise DocumentError(no_such_file(path)) from None
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: not UTF-8 text (byte {error.start})") from None
+    if len(text) <= LARGEST_BYTES:
+        _texts.pop(str(path), None)
+        _texts[str(path)] = text
+        for oldest in list(_texts)[:-MOST_KEPT]:
+            _texts.pop(oldest, None)
+    return text
 
 
 def no_such_file(path: Path) -> str:
@@ -227,11 +237,15 @@ def up_to_date(data: Any, kind: str | None, name: str, lines: dict[Location, int
         raise DocumentError(f"{name}:{_line_of(lines or {}, ('format',))}: format: {error}") from None
 
 
-def refuse(path: str | Path, problems: Iterable[tuple[str, str]]) -> None:
-    """Raise DocumentError, if there are any (dotted key, what is wrong with it): FILE:LINE: KEY: TEXT each."""
+def refuse(path: str | Path, problems: Iterable[tuple[str, str]], lines: dict[Location, int] | None = None) -> None:
+    """Raise DocumentError, if there are any (dotted key, what is wrong with it): FILE:LINE: KEY: TEXT each.
+
+    Without `lines` they are those of the text that was read last: the file may have changed since, or its disk hang.
+    """
     found = list(problems)
     if found:
-        _, lines = parse(read_text(Path(path)), str(path))
+        if lines is None:
+            _, lines = parse(_texts.get(str(path)) or read_text(Path(path)), str(path))
         raise DocumentError(
             "\n".join(f"{path}:{_line_of(lines, _location(key))}: {key}: {text}" for key, text in found)
         )

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from .link import LinkError
 
+LONGEST_COMMAND = 100  # characters of a command line that are shown
 _NAMES = Path("/proc/self/net/unix")  # abstract names begin with @ there
 
 
@@ -57,13 +58,31 @@ class BusLease:
 
 
 def bus_holder(bus: str) -> str | None:
-    """`process 1234` that has the lease of the bus, if this can be determined; else None."""
+    """`process 1234 (fffo-drive serve axis.yaml)` that has the lease of the bus, if this can be determined."""
+    return bus_holders().get(bus)
+
+
+def bus_holders() -> dict[str, str]:
+    """Who has the lease of each bus on this machine that somebody commands on, as far as this can be determined."""
     try:
         names = _NAMES.read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return None
-    found = re.search(f"@{re.escape(_name(bus))} (process [0-9]+)$", names, re.MULTILINE)
-    return found[1] if found else None
+        return {}
+    found = re.findall(rf"@{re.escape(_name(''))}(\S+) process ([0-9]+)$", names, re.MULTILINE)
+    return {bus: f"process {pid}{_command_of(pid)}" for bus, pid in found}
+
+
+def _command_of(pid: str) -> str:
+    """The command line of a process in brackets, with a blank in front; nothing where it is not ours to see."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").rstrip("\0").split("\0")
+    except OSError:
+        return ""
+    if len(words) > 1 and Path(words[0]).name.startswith("python"):
+        words = words[1:]
+    words[0] = Path(words[0]).name
+    text = "".join(sign if sign.isprintable() else "?" for sign in " ".join(" ".join(words).split()))
+    return f" ({text if len(text) <= LONGEST_COMMAND else f'{text[:LONGEST_COMMAND]}...'})" if text else ""
 
 
 def _name(bus: str) -> str:

@@ -226,6 +226,8 @@ def _status_text(status: dict[str, Any]) -> str:
     if recording["on"]:
         trouble = f"; {recording['trouble']}" if recording["trouble"] else ""
         lines.append(f"recording to {recording['file']}, {recording['rows_written']} rows{trouble}")
+    if status.get("disk"):
+        lines.append(status["disk"])
     if status["held_by"]:
         lines.append(f"held by {status['held_by']}")
     return "\n".join(lines)

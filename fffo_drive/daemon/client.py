@@ -8,6 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from ..can.lease import bus_holders
+
 
 class ClientError(Exception):
     """There is no daemon on that socket, or it has ended."""
@@ -105,4 +107,10 @@ def _no_daemon(path: Path, error: OSError) -> str:
             f"{path}: not allowed; be root or a member of the socket's group (daemon.control_group), or watch only "
             "(--watch)"
         )
-    return f"{path}: no daemon answers ({error.strerror or error}); start it: fffo-drive serve AXIS, or systemctl start"
+    text = f"{path}: no daemon answers ({error.strerror or error}); start it: fffo-drive serve AXIS, or systemctl start"
+    return f"{text}{commanding()}"
+
+
+def commanding() -> str:
+    """Who commands on the buses of this machine, for one who finds no daemon; empty where nobody does."""
+    return "".join(f"; on {bus} commands {who}" for bus, who in sorted(bus_holders().items()))

@@ -54,7 +54,7 @@ class Clients:
 
     def __init__(self, sockets: tuple[socket.socket, socket.socket], handler: Handler, epoch: Epoch, most: int) -> None:
         """`sockets`: listening, for control and for watching; `most`: clients of each, at a time."""
-        self._listeners, self._handler, self._epoch, self._most = sockets, handler, epoch, most
+        self._listeners, self._handler, self._epoch, self._most = list(sockets), handler, epoch, most
         self._control, self._watch = selectors.DefaultSelector(), selectors.EpollSelector()
         self._first = 0  # order of the read-only clients
         self._buffer = memoryview(bytearray(READ_BYTES))
@@ -101,6 +101,18 @@ class Clients:
         with self._waking:
             if self._wake >= 0:
                 os.eventfd_write(self._wake, 1)
+
+    def listen_on(self, watching: bool, listener: socket.socket) -> None:
+        """Accept connections here in place of the listener before. On the clients' thread."""
+        selector, before = self._selector(watching), self._listeners[watching]
+        if watching in self._paused:
+            del self._paused[watching]
+        else:
+            selector.unregister(before)
+        before.close()
+        listener.listen(BACKLOG)
+        self._listeners[watching] = listener
+        selector.register(listener, selectors.EVENT_READ, watching)
 
     @property
     def count(self) -> int:

@@ -17,7 +17,7 @@ from ..runtime import blocks as b
 from ..runtime.realtime import RealtimeReport
 from ..runtime.ring import HEAD, copy_row
 from ..runtime.session import LoopHungError, Session
-from ..workflows.plan import Plan, open_drive, plan_session
+from ..workflows.plan import Plan, plan_session
 
 
 @dataclasses.dataclass
@@ -91,9 +91,8 @@ def require_served(plan: Plan) -> None:
         refuse(plan.path, [("drive.kind", text)])
 
 
-def bring_up(plan: Plan, number: int, bus: str | None = None) -> Connection:
+def bring_up(plan: Plan, number: int, drive: Drive) -> Connection:
     """Connect, compile, start the loop. Raises DriveError, LinkError, RealtimeRefusedError, with the bus released."""
-    drive = open_drive(plan, bus)
     try:
         if isinstance(drive, CanopenDrive):
             drive.listen()  # goes on while the loop is compiled

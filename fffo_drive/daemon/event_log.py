@@ -58,6 +58,10 @@ class EventLog:
                     return
             self._add(kind, text, level, data)
 
+    def tell_disk(self, text: str, silent: bool) -> None:
+        """A disk does not answer, or does again (of a `Worker`)."""
+        self.add("files", text, Level.ERROR if silent else Level.INFO)
+
     def turn(self) -> None:
         """Report counted events once their second is over. Call this periodically."""
         with self._lock:

@@ -38,6 +38,9 @@ MESSAGE_IDS = {
     "drive": "58d7c1e3a2f64d0ab1c9e4b7f6a3d2c9",
     "parameters": "b15c7f9e2d8a4a6f93c1d0e5b8f7a6da",
     "effects": "64790da58888bf64c49e371c686ef238",
+    "adaptation": "38d3411d22d240ad8f7c0a97cdb002bc",
+    "set_point": "d1b6b8ed4c2f4a079dc8f4acb5763229",
+    "files": "8b428f4538734ef2b76182e93448b385",
 }
 
 

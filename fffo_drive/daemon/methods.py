@@ -7,7 +7,7 @@ info        protocol, version, axis, file, rate_hz, drive (identity), realtime, 
 status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
             list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, set_point {kind, number,
             to_rps, hold_s, lapsed, blocked, latency_s}, recording {on, wanted, file, finished, rows_*, write_errors,
-            trouble}, last_event, loop {connection, running, tick, rows, late,
+            trouble}, disk (which does not answer to what), last_event, loop {connection, running, tick, rows, late,
             skipped, missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code,
             nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
             friction_nm, mode, age}; null where there is none
@@ -37,11 +37,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from .. import __version__
 from ..config.axis import TOGGLES
 from ..config.commissioning import Permission
+from ..model.parameters import model_of_text
 from ..recording.events import Level
 from ..workflows.plan import YAML_TYPE, Plan, toggle_name
 from . import parameters as p
@@ -73,6 +74,22 @@ class Caller(Protocol):
         ...
 
 
+class _ReadAgain(NamedTuple):
+    """What a reload has read, and for which plan, toggle and state it is made."""
+
+    plan: Plan
+    toggle: int
+    at_rest: bool
+    fresh: settings.Reload
+    sources: Sources
+    given: Permission | str
+
+    def stands(self, supervisor: Supervisor) -> bool:
+        """Whether it may be taken: what it was made for has not changed."""
+        same = self.plan is supervisor.plan and self.toggle == supervisor.toggle
+        return same and not (self.at_rest and supervisor.state not in AT_REST)
+
+
 class Api:
     """The methods of `parameters.METHODS`, each by its name, on one supervisor.
 
@@ -85,7 +102,8 @@ class Api:
         self._latest: dict[str, Any] = {}
         self.work = Worker("fffo-work")
         supervisor.changed = self.publish
-        self._changing = asyncio.Lock()  # plans are checked on another thread: one change at a time
+        # plans are checked on another thread: one change at a time. Nobody waits for a disk with it
+        self._changing = asyncio.Lock()
 
     # what only looks
 
@@ -258,17 +276,17 @@ class Api:
         supervisor = self.supervisor
         async with self._changing:
             require_change(supervisor.state, Change.MODEL)
-            plan, given = await self.work.run(self._with_model, wanted)
+            plan = await self.work.run(self._with_model, wanted)
             require_change(supervisor.state, Change.MODEL)
             supervisor.set_plan(plan)
             supervisor.sources.model = (wanted.name, YAML_TYPE, wanted.text.encode())
-            supervisor.permit(given)
         self._parameters(caller, wanted, f"model {plan.model.name}")
         return {"name": plan.model.name, "hash": supervisor.model_hash}
 
-    def _with_model(self, wanted: p.Model) -> tuple[Plan, Permission | str]:
+    def _with_model(self, wanted: p.Model) -> Plan:
+        """What was commissioned stands for it too: of a model that is the torque constant alone."""
         plan, toggle = self.supervisor.plan, self.supervisor.toggle
-        model = settings.model_from_text(wanted.text, wanted.name)
+        model = model_of_text(wanted.text, wanted.name)
         old = plan.model
         if model.torque_constant_nm_per_a != old.torque_constant_nm_per_a:
             text = (
@@ -276,8 +294,7 @@ class Api:
                 f"with {old.torque_constant_nm_per_a:g}: name this model in the axis file and restart the daemon"
             )
             raise RpcError(BAD_DOCUMENT, text)
-        changed = settings.with_model(plan, toggle, model)
-        return changed, self.supervisor.read_permission(changed)
+        return settings.with_model(plan, toggle, model)
 
     async def reload(self, wanted: p.Commanded, caller: Caller) -> Any:
         """Read the axis file again; what needs a restart is named."""
@@ -286,17 +303,16 @@ class Api:
     async def reload_file(self, who: str, credentials: dict[str, int]) -> dict[str, Any]:
         """As `reload`, also for SIGHUP."""
         supervisor = self.supervisor
+        read = await self._read_again()
         async with self._changing:
-            at_rest = supervisor.state in AT_REST
-            fresh, sources, given = await self.work.run(self._read_again, at_rest)
-            if at_rest and supervisor.state not in AT_REST:  # enabled meanwhile
-                fresh, sources, given = await self.work.run(self._read_again, False)
-            before = supervisor.plan
+            while not read.stands(supervisor):  # changed or enabled meanwhile, while the disk did answer
+                read = await self._read_again()
+            fresh, before = read.fresh, supervisor.plan
             supervisor.set_plan(fresh.plan)
             if before.toggle != fresh.plan.toggle:
                 supervisor.set_toggle(fresh.plan.toggle)
-            supervisor.sources = sources
-            supervisor.permit(given)
+            supervisor.sources = read.sources
+            supervisor.permit(read.given)
         applied, restart = list(fresh.applied), list(fresh.restart)
         text = f"reloaded by {who}: {', '.join(applied) or 'nothing to apply'}"
         text += f"; needs a restart: {', '.join(restart)}" if restart else ""
@@ -304,10 +320,17 @@ class Api:
         supervisor.log.add("reload", text, level, {"applied": applied, "restart": restart, **credentials})
         return {"applied": applied, "restart": restart}
 
-    def _read_again(self, at_rest: bool) -> tuple[settings.Reload, Sources, Permission | str]:
+    async def _read_again(self) -> _ReadAgain:
         """Everything that a reload reads: the disk may be slow, and what cannot be read changes nothing."""
-        fresh = settings.reload(self.supervisor.plan, self.supervisor.toggle, at_rest)
-        return fresh, Sources(fresh.plan), self.supervisor.read_permission(fresh.plan)
+        supervisor = self.supervisor
+        plan, toggle, at_rest = supervisor.plan, supervisor.toggle, supervisor.state in AT_REST
+
+        def read() -> _ReadAgain:
+            fresh = settings.reload(plan, toggle, at_rest)
+            given = supervisor.read_permission(fresh.plan)
+            return _ReadAgain(plan, toggle, at_rest, fresh, Sources(fresh.plan), given)
+
+        return await supervisor.files.run(read, doing="reading", at=plan.path)
 
     async def record(self, wanted: p.RecordSwitch, caller: Caller) -> Any:
         """Begin or end a recording."""

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,12 +17,13 @@ from ..recording.settings import RecorderHooks, RunHeader
 from ..recording.writer import wall_clock_offset_ns
 from ..runtime.runs import run_metadata, timestamp_name
 from ..workflows.plan import YAML_TYPE, Plan
+from . import worker
 from .connection import Connection
 from .event_log import EventLog
 from .fleet_records import FleetRecords
-from .worker import Worker
+from .worker import Stillness, Worker, silence
 
-DISK_TIMEOUT_S = 30.0
+LONGEST_LOOK_S = 0.5
 LULL_S = 2.0  # without a loss: what was lost before belongs to a failure that is over
 T = TypeVar("T")
 LEVELS = {level.name.lower(): level for level in Level}
@@ -57,7 +58,9 @@ class RecordKeeper:
         self._recorder: Recorder | None = None
         self._changing = asyncio.Lock()
         self._changes: set[asyncio.Task[Any]] = set()
-        self._disk = Worker("fffo-disk")
+        self._disk = Worker("fffo-disk", log.tell_disk)
+        self._stillness = Stillness(LONGEST_LOOK_S)  # of the recorder's thread
+        self._stuck = ""  # by which the disk keeps it
         self._no_file = ""  # why there is none
         self._losses = (0, 0)  # of the recorder, as last seen
         self._lost_s = -math.inf
@@ -87,27 +90,50 @@ class RecordKeeper:
         async with self._changing:
             if connection is not None and not self.running:
                 try:
-                    path = str(await self._disk.run(self._start, plan, connection, sources, toggle, note))
+                    recorder, file = await self._disk.run(
+                        self._start, plan, connection, sources, toggle, note,
+                        doing="opening a recording in", at=self._directory(plan), late=self._end_late,
+                    )  # fmt: skip
                 except OSError as error:
                     self._no_file = f"no file: {error}"
                     raise
+                path = str(file)
+                self._losses, self._lost_s, self._recorder = (0, 0), -math.inf, recorder
+                store = plan.axis.daemon.fleet
+                self._store = store if store is None or "://" in store else str((self._base or Path()) / store)
             self._no_file = ""
         if path:
             self._log.add("recording", f"recording to {path}", data={"file": path})
         return path
 
     async def _end(self) -> list[str]:
+        loop = asyncio.get_running_loop()
         async with self._changing:
-            if not self.running:
+            recorder, self._recorder, self._stuck = self._recorder, None, ""
+            if recorder is None:
                 return []
-            files = [str(file) for file in await self._disk.run(self._stop)]
+            found = await self._disk.run(
+                self._stop, recorder, doing="closing", at=recorder.current_path,
+                late=lambda files: loop.call_soon_threadsafe(self._recorded, files, self._store),
+            )  # fmt: skip
+            return self._recorded(found, self._store)
+
+    def _recorded(self, found: Sequence[Path], store: str | None) -> list[str]:
+        """Files are finished."""
+        self.last_files = tuple(found)
+        files = [str(file) for file in found]
         self._log.add("recording", f"recorded {', '.join(files) or 'nothing'}", data={"files": files})
-        if self._store is not None and files:
-            self._fleet.take(self._store, files)
+        if store is not None and files:
+            self._fleet.take(store, files)
         return files
 
-    def _start(self, plan: Plan, connection: Connection, sources: Sources, toggle: int, note: str) -> Path:
-        directory = (self._base or Path()) / plan.axis.recording.directory
+    def _directory(self, plan: Plan) -> Path:
+        return (self._base or Path()) / plan.axis.recording.directory
+
+    def _start(
+        self, plan: Plan, connection: Connection, sources: Sources, toggle: int, note: str
+    ) -> tuple[Recorder, Path]:
+        directory = self._directory(plan)
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
         number = 1
@@ -123,21 +149,20 @@ class RecordKeeper:
             records=connection.session.records,
         )  # fmt: skip
         recorder.start()
-        self._losses, self._lost_s, self._recorder = (0, 0), -math.inf, recorder  # in this order: turns look at them
-        store = plan.axis.daemon.fleet
-        self._store = store if store is None or "://" in store else str((self._base or Path()) / store)
-        return path
+        return recorder, path
 
-    def _stop(self) -> tuple[Path, ...]:
-        recorder, self._recorder = self._recorder, None
-        if recorder is None:
-            return ()
+    def _stop(self, recorder: Recorder) -> tuple[Path, ...]:
         if recorder.alive:
-            recorder.stop(None, DISK_TIMEOUT_S)
+            recorder.stop()
         else:  # rows not yet written are drained here
             recorder.close()
-        self.last_files = recorder.statistics.files
-        return self.last_files
+        return recorder.statistics.files
+
+    def _end_late(self, opened: tuple[Recorder, Path]) -> None:
+        """A file that was opened after nobody waited for it any more."""
+        recorder, path = opened
+        recorder.stop()
+        self._log.add("recording", f"{path} was opened too late, and is closed again", Level.WARNING)
 
     @property
     def busy(self) -> bool:
@@ -161,6 +186,8 @@ class RecordKeeper:
             return self._no_file if self.wanted else ""
         if not recorder.alive:
             return "the recorder's thread has ended"
+        if self._stuck:
+            return self._stuck
         statistics = recorder.statistics
         missing = statistics.rows_dropped + statistics.rows_lost
         if missing or statistics.write_errors:
@@ -172,11 +199,27 @@ class RecordKeeper:
         recorder = self._recorder
         if recorder is None or not recorder.alive:
             return self.trouble()
+        if self._stillness.look((id(recorder), recorder.turns), self._clock()) < worker.DISK_PATIENCE_S:
+            self._stuck = ""
+        elif not self._stuck:
+            self._stuck = silence(f"writing {recorder.current_path}")
+        if self._stuck:
+            return self._stuck
         statistics = recorder.statistics
         losses = statistics.rows_dropped + statistics.rows_lost, statistics.write_errors
         if losses != self._losses:
             self._losses, self._lost_s = losses, self._clock()
         return self.trouble() if self._clock() - self._lost_s < LULL_S else ""
+
+    @property
+    def silent(self) -> str:
+        """To what the disk does not answer; empty where it does."""
+        return self._stuck or self._disk.silent
+
+    @property
+    def hangs(self) -> bool:
+        """Whether a file that nobody waits for any more is still being opened or closed."""
+        return self._disk.hangs
 
     def status(self) -> dict[str, Any]:
         """For the API."""

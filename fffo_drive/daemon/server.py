@@ -10,8 +10,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
+import math
+import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,8 +30,11 @@ from .one_client import Client, ReceivedLine
 from .parameters import METHODS, Bound
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
-from .sockets import CONTROL_MODE, WATCH_MODE, bound, give_to
+from .sockets import CONTROL_MODE, WATCH_MODE, ListeningSocket
 from .states import RefusedError
+from .worker import DiskSilentError, Worker
+
+LOOK_S = 1.0  # between looks for the sockets
 
 Answer = Callable[[dict[str, Any]], None]  # on the clients' thread
 
@@ -81,31 +87,31 @@ class Server:
         self._ordinary: deque[_Asked] = deque()
         self._stops: dict[tuple[Client, str], dict[str, list[Answer]]] = {}  # by kind, then by parameters
         self._tasks: dict[asyncio.Task[dict[str, Any]], _Asked] = {}
-        self._paths: list[Path] = []
+        self._sockets: dict[bool, ListeningSocket] = {}  # by whether it is the one that only watches
+        self._looking: asyncio.Task[None] | None = None
+        self._looked_s = -math.inf
+        self._missing = ""  # why a socket that is gone is not there again
+        self._files = Worker("fffo-sockets", api.supervisor.log.tell_disk)
 
     async def open(self, group: str | None) -> None:
         """Listen. Raises SocketTakenError, OSError; DocumentError for a group that does not exist."""
-        self.directory.mkdir(parents=True, exist_ok=True)
-        sockets = []
-        for name, mode in ((CONTROL, CONTROL_MODE), (WATCH, WATCH_MODE)):
-            path = self.directory / name
-            sockets.append(bound(path, mode))
-            self._paths.append(path)
-        if group is not None:
-            give_to(self.directory / CONTROL, group)
+        self._sockets[False] = ListeningSocket(self.directory / CONTROL, CONTROL_MODE, group)
+        self._sockets[True] = ListeningSocket(self.directory / WATCH, WATCH_MODE)
         self.api.publish()
-        self._served = Clients((sockets[0], sockets[1]), self, self._epoch, self._most)
+        listeners = self._sockets[False].socket, self._sockets[True].socket
+        self._served = Clients(listeners, self, self._epoch, self._most)
         self.api.supervisor.log.listeners.append(self._on_event)
         self._served.start()
 
     async def close(self) -> None:
         """Stop listening, close every connection."""
+        if self._looking is not None:
+            self._looking.cancel()
         if self._served is not None:
             self.api.supervisor.log.listeners.remove(self._on_event)
             self._served.close()
-        for path in self._paths:
-            with contextlib.suppress(OSError):
-                path.unlink()
+        for listening in self._sockets.values():
+            listening.unlink()
         for task in self._tasks:
             task.cancel()
         await asyncio.sleep(0)
@@ -125,6 +131,31 @@ class Server:
             raise self.clients.failure
         if self.clients.anybody_listens:
             self.clients.post(self.clients.broadcast_status)
+        now_s = time.monotonic()
+        looking = self._looking is not None and not self._looking.done()
+        if now_s - self._looked_s >= LOOK_S and not looking and not self._files.hangs:
+            self._looked_s = now_s
+            self._looking = asyncio.ensure_future(self._look_for_sockets())
+
+    async def _look_for_sockets(self) -> None:
+        """Make sockets anew that somebody has deleted; connections go on."""
+        log = self.api.supervisor.log
+        for watching, lost in list(self._sockets.items()):
+            try:
+                fresh = await self._files.run(_again, lost, doing="looking for", at=lost.path, late=_not_needed)
+            except DiskSilentError:
+                return
+            except (OSError, DocumentError) as error:
+                problem = f"{lost.path} is gone and cannot be made anew: {getattr(error, 'strerror', None) or error}"
+                if problem != self._missing:  # once
+                    log.add("files", f"{problem}; restart the service", Level.ERROR)
+                self._missing = problem
+                return
+            if fresh is not None:
+                self._sockets[watching] = fresh
+                self.clients.post(partial(self.clients.listen_on, watching, fresh.socket))
+                log.add("files", f"{lost.path} was gone: made anew", Level.WARNING)
+                self._missing = ""
 
     def _on_event(self, event: dict[str, Any]) -> None:
         line = rpc.encode(rpc.notification("event", event))
@@ -318,6 +349,18 @@ class Server:
         text = f"internal error: {type(error).__name__}: {error}"
         self.api.supervisor.log.add("command", text, Level.ERROR)
         return RpcError(rpc.INTERNAL_ERROR, text)
+
+
+def _again(lost: ListeningSocket) -> ListeningSocket | None:
+    """A socket in the place of one that is gone; None for one that is there."""
+    return None if lost.is_there() else lost.anew()
+
+
+def _not_needed(fresh: ListeningSocket | None) -> None:
+    """Nobody waits for it any more."""
+    if fresh is not None:
+        fresh.unlink()
+        fresh.socket.close()
 
 
 def _answered(asked: _Asked, answer: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ from .journal import Journal
 from .methods import Api
 from .notify import Notifier
 from .places import recordings_directory, socket_directory
+from .record_keeper import Sources
 from .server import Server
 from .states import AT_REST, StateEvent
 from .status import line_of
@@ -61,14 +62,14 @@ class Options(NamedTuple):
 def serve(options: Options) -> None:
     """Serve one axis until SIGTERM or SIGINT.
 
-    Raises DocumentError for bad files, RealtimeRefusedError, and fatal errors.
+    Raises DocumentError for bad files, DiskSilentError, RealtimeRefusedError, and fatal errors.
     """
-    plan = make_plan(options.file)
+    plan, sources = asyncio.run(_read(options.file))
     require_served(plan)
     if plan.axis.realtime.required:
         require_realtime(realtime_request(plan.axis))  # before the service counts as started
     sys.setswitchinterval(SWITCH_S)
-    service = _Service(plan, options)
+    service = _Service(plan, sources, options)
     asyncio.run(service.run())
     if service.work_in_progress:  # do not wait for a compiler or a disk, as the interpreter's normal exit would
         sys.stdout.flush()
@@ -76,11 +77,21 @@ def serve(options: Options) -> None:
         os._exit(0)
 
 
+async def _read(path: Path) -> tuple[Plan, Sources]:
+    """What the service is made from. Raises DocumentError; DiskSilentError where a file does not come."""
+
+    def read() -> tuple[Plan, Sources]:
+        plan = make_plan(path)
+        return plan, Sources(plan)
+
+    return await Worker("fffo-files", lambda text, silent: None).run(read, doing="reading", at=path)
+
+
 class _Service:
     """One run."""
 
-    def __init__(self, plan: Plan, options: Options) -> None:
-        self.plan, self.options = plan, options
+    def __init__(self, plan: Plan, sources: Sources, options: Options) -> None:
+        self.plan, self.sources, self.options = plan, sources, options
         self.notifier = Notifier()
         self.journal = Journal()
         self._stop = asyncio.Event()
@@ -93,13 +104,15 @@ class _Service:
     def work_in_progress(self) -> bool:
         """Whether something is still in progress for which the end of the service did not wait."""
         supervisor = self.supervisor
-        return supervisor.bus_work.busy or supervisor.recorder.busy or self.api.work.busy or self._attaching.busy
+        workers = (supervisor.bus_work, supervisor.files, self.api.work, self._attaching)
+        keeper = supervisor.recorder
+        return keeper.busy or keeper.hangs or any(worker.busy or worker.hangs for worker in workers)
 
     async def run(self) -> None:
         """From the sockets to the last frame."""
         options = self.options
         self.supervisor = supervisor = Supervisor(
-            self.plan, self.journal, options.bus, options.uncommissioned, recordings_directory()
+            self.plan, self.journal, options.bus, options.uncommissioned, recordings_directory(), sources=self.sources
         )
         supervisor.recorder.wanted = self.plan.axis.daemon.record == "on"
         self.api = Api(supervisor)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .client import CallError, ClientError, DaemonClient
+from .client import CallError, ClientError, DaemonClient, commanding
 from .places import CONTROL, SYSTEM_DIRECTORY, WATCH, user_directory
 from .states import TORQUE_STATES
 
@@ -25,7 +25,8 @@ def find_socket(axis: str | None, sockets: str | Path | None, watching: bool) ->
     if not found:
         which = f" of '{axis}'" if axis else ""
         places = ", ".join(str(home) for home in homes)
-        raise ClientError(f"no daemon{which} in {places}: start one with fffo-drive serve AXIS, or give --sockets")
+        text = f"no daemon{which} in {places}: start one with fffo-drive serve AXIS, or give --sockets"
+        raise ClientError(f"{text}{commanding()}")
     raise ClientError(
         f"more than one daemon runs, choose one with --axis: {', '.join(path.parent.name for path in found)}"
     )

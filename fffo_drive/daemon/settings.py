@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import difflib
-import tempfile
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..config.axis import TOGGLES, AxisFile
 from ..config.sections import ControllerSection
 from ..documents import DocumentError, check
-from ..model.parameters import ModelFile, content_hash, read_model
+from ..model.parameters import ModelFile, content_hash
 from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems
 from .states import Change
 
@@ -78,17 +76,6 @@ def _require_proof(axis: AxisFile, model: ModelFile, toggle: int) -> None:
     problems = proof_problems(axis, model, (toggle,))
     if problems:
         raise DocumentError("\n".join(problems))
-
-
-def model_from_text(text: str, name: str) -> ModelFile:
-    """A model file given as text. Raises DocumentError with `name` in place of a path."""
-    with tempfile.TemporaryDirectory(prefix="fffo_drive_model_") as directory:
-        path = Path(directory) / "model.yaml"
-        path.write_text(text, encoding="utf-8")
-        try:
-            return read_model(path)
-        except DocumentError as error:
-            raise DocumentError(str(error).replace(str(path), name)) from None
 
 
 def with_model(plan: Plan, toggle: int, model: ModelFile) -> Plan:

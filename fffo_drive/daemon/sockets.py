@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import grp
 import os
@@ -15,6 +16,47 @@ CONTROL_MODE, WATCH_MODE = 0o660, 0o666
 
 class SocketTakenError(OSError):
     """Another process serves on this socket."""
+
+
+class ListeningSocket:
+    """A socket at a place of the file system, and whether it is still there."""
+
+    def __init__(self, path: Path, mode: int, group: str | None = None) -> None:
+        """`group` gets it. Raises as `bound` and `give_to`."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path, self.mode, self.group = path, mode, group
+        self.socket = bound(path, mode)
+        self._identity = identity_of(path)
+        try:
+            if group is not None:
+                give_to(path, group)
+        except DocumentError:
+            self.socket.close()
+            self.unlink()
+            raise
+
+    def is_there(self) -> bool:
+        """Whether clients find it at its place."""
+        return identity_of(self.path) == self._identity
+
+    def unlink(self) -> None:
+        """Take it from its place, unless another one is there."""
+        with contextlib.suppress(OSError):
+            if self.is_there():
+                self.path.unlink()
+
+    def anew(self) -> ListeningSocket:
+        """Another one at its place. Raises as the constructor."""
+        return ListeningSocket(self.path, self.mode, self.group)
+
+
+def identity_of(path: Path) -> tuple[int, int] | None:
+    """Device and inode of a file; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def bound(path: Path, mode: int) -> socket.socket:

@@ -41,6 +41,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> dict[str, Any]:
         "profile": _profile_of(supervisor),
         "set_point": _set_point_of(supervisor),
         "recording": supervisor.recorder.status(),
+        "disk": supervisor.files.silent or supervisor.recorder.silent or None,
         "last_event": supervisor.log.last_number,
         **_loop_of(supervisor),
     }
@@ -119,11 +120,12 @@ def line_of(supervisor: Supervisor) -> str:
         return f"fault: {supervisor.fault.text}"
     if supervisor.obstacles and supervisor.state in (State.OFFLINE, State.CONNECTED):
         return f"{supervisor.state.value}: {supervisor.obstacles[0]}"
+    disk = supervisor.files.silent or supervisor.recorder.silent
     profile = supervisor.profile
     running = f" {profile.name}" if supervisor.state is State.RUNNING and profile is not None else ""
     if supervisor.state is State.FOLLOWING and supervisor.motion is not None and supervisor.motion.asked is not None:
         running = f" {supervisor.motion.asked.kind} to {supervisor.motion.target_rps:g} rps"
-    return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}"
+    return f"{supervisor.state.value}{running}, friction {toggle_name(supervisor.toggle)}{disk and f'; {disk}'}"
 
 
 def info_of(supervisor: Supervisor, version: str, spoken: int | list[int] | None = None) -> dict[str, Any]:

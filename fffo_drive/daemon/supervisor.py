@@ -20,14 +20,14 @@ from ..config.effects import compensation_table
 from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, GOAL_QUICK_STOP
-from ..drive.port import DriveError, DriveRefusedError
+from ..drive.port import Drive, DriveError, DriveRefusedError
 from ..model.parameters import content_hash
 from ..recording.events import Level
 from ..runtime import blocks as b
 from ..runtime.adaptation_watch import BoundWatch
 from ..runtime.runs import NOT_ENABLED, with_words
 from ..runtime.session import LoopHungError
-from ..workflows.plan import Plan
+from ..workflows.plan import Plan, open_drive
 from .connection import Connection, bring_up, leave
 from .effects_watch import EffectsWatch
 from .event_log import EventLog
@@ -37,7 +37,7 @@ from .record_keeper import RecordKeeper, Sources
 from .set_points import JOG, AskedSetPoint, longest_stop_s
 from .states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Machine, RefusedError, State, StateEvent
 from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
-from .worker import Worker
+from .worker import DiskSilentError, Worker
 
 TURN_S = 0.04
 MAX_SPEED_FACTOR = 1.5  # of the speed limit: the longest ramp begins there
@@ -54,11 +54,11 @@ class Supervisor:
 
     def __init__(
         self, plan: Plan, journal: Journal, bus: str | None = None, uncommissioned: bool = False,
-        recordings: Path | None = None, clock: Callable[[], float] = time.monotonic,
+        recordings: Path | None = None, clock: Callable[[], float] = time.monotonic, sources: Sources | None = None,
     ) -> None:  # fmt: skip
         self.plan = plan
         self.model_hash = content_hash(plan.model)
-        self.sources = Sources(plan)
+        self.sources = sources or Sources(plan)
         self.toggle = plan.toggle
         self.log = EventLog(journal, self._context)
         self.recorder = RecordKeeper(self.log, recordings, clock)
@@ -67,6 +67,7 @@ class Supervisor:
         self.machine = Machine()
         self.changed: Callable[[], None] = lambda: None  # called after each step of the state machine
         self.bus_work = Worker("fffo-bus")
+        self.files = Worker("fffo-files", self.log.tell_disk)
         self.since_s = clock()
         self.fault: Latched | None = None
         self.obstacles: list[str] = ["not connected yet"]
@@ -85,6 +86,7 @@ class Supervisor:
         self._lived = asyncio.Event()  # `run` has ended, or has not begun
         self._lived.set()
         self._connections = 0
+        self._unread = False  # the disk did not answer when the drive was to be brought up
         self._closing = False
         self._next_profile: Profile | None = None
         self._next_set_point: AskedSetPoint | None = None
@@ -457,7 +459,8 @@ class Supervisor:
     async def _leave(self, connection: Connection) -> LoopHungError | None:
         """The bus first: torque and SYNC end whatever the state of the disk."""
         leaving = asyncio.ensure_future(self.bus_work.run(leave, connection))
-        await self.recorder.end()
+        with contextlib.suppress(DiskSilentError):  # it was told
+            await self.recorder.end()
         return await leaving
 
     async def _try_to_connect(self) -> None:
@@ -466,8 +469,13 @@ class Supervisor:
             self.obstacles = ["connecting; the very first time compiles the loop"]
         given_before = self._given
         try:
-            given, connection = await self.bus_work.run(self._bring_up, plan)
-        except (DriveError, LinkError) as error:
+            if self._unread and self.files.silent:  # each attempt would leave a thread behind; a reload makes one
+                raise DiskSilentError(self.files.silent)
+            # once the loop runs, no disk may keep the supervisor waiting
+            given, drive = await self.files.run(self._read_for, plan, doing="reading", at=plan.path)
+            connection = await self.bus_work.run(self._bring_up, plan, drive)
+        except (DriveError, LinkError, DiskSilentError) as error:
+            self._unread = isinstance(error, DiskSilentError)
             self.obstacles = [str(error)]
             if str(error) != self._said:  # once, not at each attempt
                 self._said = str(error)
@@ -475,7 +483,7 @@ class Supervisor:
             return
         if connection is None:
             return
-        self._said = ""
+        self._said, self._unread = "", False
         self._connections += 1
         self.connection = connection
         now_s = self._clock()
@@ -497,14 +505,17 @@ class Supervisor:
             with contextlib.suppress(OSError):  # the next turn reports it
                 await self.start_recording()
 
-    def _bring_up(self, plan: Plan) -> tuple[Permission | str, Connection | None]:
+    def _read_for(self, plan: Plan) -> tuple[Permission | str, Drive]:
+        """All that bring-up reads from files."""
+        return self.read_permission(plan), open_drive(plan, self._bus)
+
+    def _bring_up(self, plan: Plan, drive: Drive) -> Connection | None:
         """On the bus's thread. No connection if the service ended meanwhile; the drive is then released again."""
-        given = self.read_permission(plan)  # first: once the loop runs, no disk may keep the supervisor waiting
-        connection = bring_up(plan, self._connections + 1, self._bus)
+        connection = bring_up(plan, self._connections + 1, drive)
         if not self._closing:
-            return given, connection
+            return connection
         leave(connection)
-        return given, None
+        return None
 
     async def stop_in_order(self) -> None:
         """Brake, disable, and wait until the power stage is off: controlled stop, then quick stop, each for a bounded

@@ -17,7 +17,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from .. import formats, units
-from ..documents import StrictRecord, load, refuse
+from ..documents import StrictRecord, check, parse, read_text, refuse
 from .axis import AxisConfig
 from .effects.law import SHAPE
 from .effects.laws.lookup import UNKNOWN, CurveModel, curve_errors, curve_model, packed_curve, packed_sd
@@ -231,7 +231,13 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 def read_model(path: str | Path) -> ModelFile:
     """Read and check a model file. Raises DocumentError naming file and key."""
-    model = load(path, ModelFile)
+    return model_of_text(read_text(Path(path)), str(path))
+
+
+def model_of_text(content: str, name: str) -> ModelFile:
+    """The text of a model file, checked. Raises DocumentError with `name` for the file."""
+    data, lines = parse(content, name)
+    model = check(data, ModelFile, name, lines)
     errors = []
     for key, (low, high) in LIMITS.items():
         quantity: Any = model
@@ -243,7 +249,7 @@ def read_model(path: str | Path) -> ModelFile:
     if model.content_hash is not None and model.content_hash != content_hash(model):
         text = "does not match the content: the file was edited by hand. Remove the line to accept the edit, or restore"
         errors.append(("content_hash", f"{text} the file"))
-    refuse(path, errors)
+    refuse(name, errors, lines)
     return model
 
 

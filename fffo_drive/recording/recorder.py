@@ -59,6 +59,7 @@ class Recorder:
         self._hook_error = ""
         self._overrunning = False
         self._closed = False
+        self.turns = 0  # of the thread, ended: it goes on while no disk keeps it
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._summary: Mapping[str, str] = {}
@@ -180,6 +181,7 @@ class Recorder:
             running.set()
         while not self._stop.wait(self._settings.drain_interval_s):
             self._guarded(self.drain_once)
+            self.turns += 1
         self._guarded(lambda: self.close(self._summary))
 
     def _guarded(self, turn: Callable[[], object]) -> None:

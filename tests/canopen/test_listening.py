@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scripted_node import ScriptedNode
 
 from fffo_drive.can.frame import Frame, pack_frame, unpack_frame
-from fffo_drive.can.lease import BusHeldError, BusLease, bus_holder
+from fffo_drive.can.lease import LONGEST_COMMAND, BusHeldError, BusLease, bus_holder
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
@@ -195,7 +195,7 @@ def test_one_master_a_bus_on_this_machine(config):
         first, second = CanopenDrive(config), CanopenDrive(dataclasses.replace(config, node_id=NODE + 1))
         first.listen()
         heard = len(node.heard)
-        with pytest.raises(BusOccupiedError, match=r"process \d+ on this machine commands there: one bus has one"):
+        with pytest.raises(BusOccupiedError, match=r"process \d+ .* on this machine commands there: one bus has one"):
             second.connect()
         assert len(node.heard) == heard
         first.connect()
@@ -213,8 +213,8 @@ def test_the_lease_is_of_one_bus_and_ends_with_its_process():
     assert holder.stdout is not None
     try:
         holder.stdout.readline()
-        assert bus_holder(bus) == f"process {holder.pid}"
-        with pytest.raises(BusHeldError, match=f"process {holder.pid} on this machine"):
+        assert bus_holder(bus) == f"process {holder.pid} ({f'-c {program}'[:LONGEST_COMMAND]}...)"
+        with pytest.raises(BusHeldError, match=rf"process {holder.pid} \(-c import time; .*\) on this machine"):
             BusLease(bus)
         BusLease(f"{bus}0").close()
     finally:

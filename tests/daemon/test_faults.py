@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 from buses import BusLog
+from daemon import test_hanging_files
 from daemon.fault_table import ROWS
 from daemon.rig import PATIENCE_S, Rig
 from recording.samples import Disk
@@ -42,7 +43,8 @@ def goes_on(rig: Rig, client) -> None:
 
 
 def test_every_row_without_a_script_has_its_test():
-    assert all(f"test_row_{row.name}" in globals() for row in ROWS if row.script is None)
+    scripts = {*globals(), *vars(test_hanging_files)}
+    assert {f"test_row_{row.name}" for row in ROWS if row.script is None} <= scripts
 
 
 def test_row_sdo_timeout(tmp_path):

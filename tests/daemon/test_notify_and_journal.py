@@ -9,15 +9,26 @@ import os
 import re
 import socket
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fffo_drive.daemon import journal as journals
 from fffo_drive.daemon.event_log import KEPT, EventLog
 from fffo_drive.daemon.journal import LONGEST_VALUE, MESSAGE_IDS, Journal, encode_fields
 from fffo_drive.daemon.notify import Notifier
 from fffo_drive.recording.events import Level
+
+
+def test_every_kind_of_event_has_its_message_id():
+    said = "".join(path.read_text() for path in Path(journals.__file__).parent.glob("*.py"))
+    kinds = set(re.findall(r'log\.add\(\s*"(\w+)"|self\.add\(\s*"(\w+)"', said))
+    assert {kind or other for kind, other in kinds} <= set(MESSAGE_IDS)
+    assert len(kinds) > 10
+    assert len(set(MESSAGE_IDS.values())) == len(MESSAGE_IDS)
+    assert all(re.fullmatch(r"[0-9a-f]{32}", number) for number in MESSAGE_IDS.values())
 
 
 @pytest.fixture

@@ -178,7 +178,7 @@ def test_an_enable_may_follow_the_answer_to_record_on_at_once(required, monkeypa
     fails_to_open(required, monkeypatch)
     assert required.obstacles() != []
     keeper = required.supervisor.recorder
-    monkeypatch.setattr(keeper, "_start", lambda *_: setattr(keeper, "_recorder", Recording()))
+    monkeypatch.setattr(keeper, "_start", lambda *_: (Recording(), Path("a.mcap")))
     asyncio.run(required.supervisor.start_recording())
     assert required.state is State.READY  # without another turn
 
@@ -229,10 +229,17 @@ class Recording:
 
     def __init__(self) -> None:
         self.alive = True
-        self.current_path = None
+        self.turning, self._turns = True, 0
+        self.current_path = Path("a.mcap.part")
         self.statistics = SimpleNamespace(
             rows_dropped=0, rows_lost=0, write_errors=0, last_error="", files=(), rows_written=0
         )
+
+    @property
+    def turns(self) -> int:
+        """It writes on, as long as no disk keeps it."""
+        self._turns += self.turning
+        return self._turns
 
     def event(self, *_: object) -> None:
         """Not written."""
@@ -298,20 +305,22 @@ class Keeper(RecordKeeper):
         self.begun.set()
         assert self.go_on.wait(PATIENCE_S)
 
-    def _start(self, *_: object) -> Path:
+    def _directory(self, plan: object) -> Path:
+        return Path()
+
+    def _start(self, *_: object) -> tuple[Recording, Path]:
         self._slow()
         self.made.append(Recording())
-        self._recorder = self.made[-1]
-        return Path(f"{len(self.made)}.mcap")
+        return self.made[-1], Path(f"{len(self.made)}.mcap")
 
-    def _stop(self) -> tuple[Path, ...]:
+    def _stop(self, recorder: object) -> tuple[Path, ...]:
         self._slow()
-        self.stopped.append(self._recorder)
-        self._recorder = None
+        self.stopped.append(recorder)
         return ()
 
     def another(self) -> asyncio.Task[str]:
-        return asyncio.create_task(self.begin(None, object(), None, 0, ""))
+        plan = SimpleNamespace(axis=SimpleNamespace(daemon=SimpleNamespace(fleet=None)))
+        return asyncio.create_task(self.begin(plan, object(), None, 0, ""))
 
     async def go_on_soon(self) -> None:
         """Once everything that was asked for waits for the lock or the disk."""
@@ -410,5 +419,5 @@ def test_a_reload_reads_on_a_thread_of_its_own_and_changes_nothing_where_it_cann
         broken.clear()
         client.call("reload")
         assert client.call("info")["keys"][KEY] == 0.9 * before
-    assert {("bytes", "fffo-work"), ("permission", "fffo-work")} <= readers
-    assert {thread for _, thread in readers} <= {"fffo-work", "fffo-bus"}
+    assert {("bytes", "fffo-files"), ("permission", "fffo-files")} <= readers
+    assert {thread for _, thread in readers} == {"fffo-files"}

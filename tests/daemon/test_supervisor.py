@@ -288,7 +288,7 @@ def test_a_disk_that_hangs_does_not_hold_up_the_end_of_the_service(tmp_path, mon
         rig.until("ready", client)
         client.call("record", to="on")
         stop = rig.supervisor.recorder._stop
-        monkeypatch.setattr(rig.supervisor.recorder, "_stop", lambda: (hangs.wait(60.0), stop())[1])
+        monkeypatch.setattr(rig.supervisor.recorder, "_stop", lambda recorder: (hangs.wait(60.0), stop(recorder))[1])
     journal = rig.journal.getvalue()
     hangs.set()
     assert "the disk does not answer" in journal
