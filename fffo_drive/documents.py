@@ -49,7 +49,7 @@ Confidence = Literal["certain", "probable", "cannot tell"]  # of what a page or 
 class StrictRecord(BaseModel):
     """Base of all configuration records: unknown keys are errors, a number is a number, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, defer_build=True)
 
 
 class _NotAllowedError(yaml.MarkedYAMLError):

@@ -10,35 +10,25 @@ fffo-drive config effects           the effects of the simulated drive with thei
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import shutil
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..can.load import ChainStep
-from ..config.address import address_of, sandbox_problem
-from ..config.axis import AxisFile
-from ..config.checks import bus_sum, law_margins, shared_buses
-from ..config.drive_profile import DriveProfile, read_profile, shipped_profiles
-from ..config.drive_section import CanopenDriveSection
-from ..config.resolution import coarse_words, resolution_lines
-from ..config.scenario import ScenarioFile
-from ..config.simulated import SimulatedDriveRecord
-from ..control.friction_observer import TOGGLE_OFF
-from ..documents import sentence
-from ..identification.facts import DriveFacts
-from ..model.parameters import ModelFile
-from ..signals import SIGNALS
-from ..workflows.plan import Plan, make_plan, open_drive
+from ..documents import StrictRecord, sentence
 
-SCHEMAS: dict[str, Any] = {
-    "axis": AxisFile,
-    "drive_profile": DriveProfile,
-    "simulated": SimulatedDriveRecord,
-    "model": ModelFile,
-    "scenario": ScenarioFile,
-    "facts": DriveFacts,
+if TYPE_CHECKING:
+    from ..workflows.plan import Plan
+
+SCHEMAS = {  # kind of file -> module and name of its record
+    "axis": ("config.axis", "AxisFile"),
+    "drive_profile": ("config.drive_profile", "DriveProfile"),
+    "simulated": ("config.simulated", "SimulatedDriveRecord"),
+    "model": ("model.parameters", "ModelFile"),
+    "scenario": ("config.scenario", "ScenarioFile"),
+    "facts": ("identification.facts", "DriveFacts"),
 }
 LEAST_TEXT = 20  # characters of the last column, even in a narrower terminal
 EFFECTS_HEAD = "An effect is off while all its parameters marked (strength) are 0."
@@ -67,15 +57,9 @@ def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     if options.action == "check":
-        plans = [make_plan(path) for path in options.config]
-        for plan in plans:
-            open_drive(plan)  # an error in the file of a simulated drive, or no EDS, comes before any "ok"
-        for plan in plans:
-            _check(plan)
-        for text in shared_buses([(str(plan.path), plan.axis) for plan in plans]):
-            print(f"warning: {text}")
+        _check_all(options.config)
     elif options.action == "schema":
-        print(json.dumps(SCHEMAS[options.kind].model_json_schema(), indent=2))
+        print(json.dumps(schema_record(options.kind).model_json_schema(), indent=2))
     elif options.action == "drives":
         print(json.dumps(_drives(), indent=2) if options.json else "\n".join(drive_lines()))
     elif options.action == "signals":
@@ -83,6 +67,13 @@ def execute(options: argparse.Namespace) -> int:
     else:
         _print_effects(options.json)
     return 0
+
+
+def schema_record(kind: str) -> type[StrictRecord]:
+    """The record that a kind of file is read into."""
+    module, name = SCHEMAS[kind]
+    record: type[StrictRecord] = getattr(importlib.import_module(f"...{module}", __name__), name)
+    return record
 
 
 def aligned(rows: Sequence[Sequence[str]], widths: Sequence[int], indent: str = "") -> list[str]:
@@ -107,6 +98,8 @@ def _widths(rows: Sequence[Sequence[str]]) -> list[int]:
 
 
 def _print_signals(as_json: bool) -> None:
+    from ..signals import SIGNALS
+
     if as_json:
         found = {s.name: {"type": s.dtype, "unit": s.unit, "meaning": s.meaning} for s in SIGNALS}
         print(json.dumps(found, indent=2))
@@ -139,6 +132,8 @@ def _print_effects(as_json: bool) -> None:
 
 
 def _drives() -> dict[str, dict[str, Any]]:
+    from ..config.drive_profile import read_profile, shipped_profiles
+
     read = {name: read_profile(path) for name, path in shipped_profiles().items()}
     return {
         name: {"family": profile.family, "tried": profile.tried, "remarks": list(profile.remarks)}
@@ -156,7 +151,27 @@ def drive_lines() -> list[str]:
     return lines
 
 
+def _check_all(paths: Sequence[str]) -> None:
+    from ..config.checks import shared_buses
+    from ..workflows.plan import make_plan, open_drive
+
+    plans = [make_plan(path) for path in paths]
+    for plan in plans:
+        open_drive(plan)  # an error in the file of a simulated drive, or no EDS, comes before any "ok"
+    for plan in plans:
+        _check(plan)
+    for text in shared_buses([(str(plan.path), plan.axis) for plan in plans]):
+        print(f"warning: {text}")
+
+
 def _check(plan: Plan) -> None:
+    from ..can.load import ChainStep
+    from ..config.address import address_of, sandbox_problem
+    from ..config.checks import bus_sum, law_margins
+    from ..config.drive_section import CanopenDriveSection
+    from ..config.resolution import coarse_words, resolution_lines
+    from ..control.friction_observer import TOGGLE_OFF
+
     axis, model = plan.axis, plan.model
     margins = law_margins(axis, model, plan.toggle != TOGGLE_OFF)
     print(f"{plan.path}: ok")

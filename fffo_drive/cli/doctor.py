@@ -99,11 +99,11 @@ def bus_masters_of(path: str | None, bus: str | None, seconds: float) -> BusMast
 
 
 def _of_this_process(wanted: Wanted, seconds: float) -> list[HostFinding]:
-    from ..jit import CACHE_DIRECTORY, kernel_digest
+    from ..jit import cache_directory, kernel_digest
     from ..system.compiled import cache_findings
     from ..system.lateness import lateness_findings, measure_lateness
 
-    findings = cache_findings(CACHE_DIRECTORY, kernel_digest())
+    findings = cache_findings(cache_directory(), kernel_digest())
     if seconds > 0.0:
         findings += lateness_findings(measure_lateness(wanted, seconds), wanted)
     return findings

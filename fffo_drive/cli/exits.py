@@ -37,8 +37,6 @@ class UnconfirmedError(Exception):
 
 def exit_code_of(error: Exception) -> int | None:
     """The exit code of a known error; None for a bug, which shows its traceback."""
-    if isinstance(error, ForeignDirectoryError):  # of compiled code: what is imported below needs that
-        return EXIT_IO
     from ..can.link import LinkError
     from ..daemon.client import CallError, ClientError
     from ..drive.canopen.object_map import MappingError
@@ -63,6 +61,7 @@ def exit_code_of(error: Exception) -> int | None:
         (RealtimeRefusedError, EXIT_NOT_PERMITTED),
         (RecordingError, EXIT_BAD_INPUT),
         (RecordingGapError, EXIT_IO),
+        (ForeignDirectoryError, EXIT_IO),
         (FileNotFoundError, EXIT_BAD_INPUT),
         (IsADirectoryError, EXIT_BAD_INPUT),
         (OSError, EXIT_IO),

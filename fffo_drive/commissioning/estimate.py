@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Integers
 from ..least_squares import LinearFit, least_squares
@@ -65,7 +65,9 @@ def _search(cost: Callable[[float], float], low: float, high: float, step: float
     """Minimum of a cost with perhaps several: a grid, then golden section round its best point."""
     grid = np.arange(low, high + 0.5 * step, step)
     best = float(grid[np.argmin([cost(float(x)) for x in grid])])
-    result = minimize_scalar(cost, bounds=(max(low, best - step), min(high, best + step)), method="bounded")
+    result = scipy.optimize.minimize_scalar(
+        cost, bounds=(max(low, best - step), min(high, best + step)), method="bounded"
+    )
     return float(result.x)
 
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..identification.criterion import gain
@@ -145,7 +145,7 @@ def _features(data: Data, fitted: Fitted) -> tuple[Floats, tuple[str, ...], floa
 def _heat(scene: Scene) -> Floats:
     speed = np.abs(scene.stretch.velocity_rps)
     width = max(1, round(MEMORY_S / scene.stretch.law_period_s))
-    return np.asarray(ndimage.uniform_filter1d(speed, width, origin=(width - 1) // 2, mode="nearest"))
+    return np.asarray(scipy.ndimage.uniform_filter1d(speed, width, origin=(width - 1) // 2, mode="nearest"))
 
 
 def _clock(data: Data, fitted: Fitted) -> float:
@@ -155,7 +155,7 @@ def _clock(data: Data, fitted: Fitted) -> float:
     base = np.arange(max(1, low), min(high, (power.size - 1) // COMB_LINES))
     if not base.size:
         return 0.0
-    level = np.maximum(ndimage.median_filter(power, 257, mode="nearest"), 1e-300)
+    level = np.maximum(scipy.ndimage.median_filter(power, 257, mode="nearest"), 1e-300)
     comb = sum(np.minimum(power / level, 100.0)[base * k] for k in range(1, COMB_LINES + 1))
     return _refined(data, fitted, float(1.0 / frequency[base[int(np.argmax(comb))]]), float(frequency[1]))
 

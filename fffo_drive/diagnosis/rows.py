@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, signal
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Integers, Mask
 from ..identification.criterion import Folds, folds_of
@@ -68,7 +68,7 @@ class Filter(NamedTuple):
         if thin == 1:
             return self
         half = self.taps.size // 2 // thin
-        taps = signal.firwin(2 * half + 1, self.cutoff_hz, fs=1.0 / self.law_period_s, window="hamming")
+        taps = scipy.signal.firwin(2 * half + 1, self.cutoff_hz, fs=1.0 / self.law_period_s, window="hamming")
         period_s = self.law_period_s
         return _filter(taps, self.step // thin, self.cutoff_hz, period_s, period_s)
 
@@ -98,7 +98,7 @@ def make_filter(period_s: float, cutoff_hz: float = CUTOFF_HZ) -> Filter:
     """Windowed-sinc low-pass: half at the cut-off, negligible at half the row rate."""
     cutoff_hz = min(cutoff_hz, 0.2 / period_s)
     half = max(2, round(TAPS_PERIODS / (cutoff_hz * period_s)))
-    taps = signal.firwin(2 * half + 1, cutoff_hz, fs=1.0 / period_s, window="hamming")
+    taps = scipy.signal.firwin(2 * half + 1, cutoff_hz, fs=1.0 / period_s, window="hamming")
     thin = thinning(period_s, cutoff_hz)
     step = thin * max(1, int(1.0 / (ROW_SHARE * cutoff_hz * period_s * thin) + 1e-9))
     return _filter(taps, step, cutoff_hz, period_s, thin * period_s)
@@ -254,7 +254,7 @@ def rows_of(stretches: Sequence[DiagnosisStretch], filter_: Filter) -> Diagnosis
     for stretch in stretches:
         position = filter_.rows(stretch.position_rev)
         count = position.size
-        clean = ndimage.minimum_filter1d(stretch.good.astype(np.int8), 2 * reach + 1) > 0
+        clean = scipy.ndimage.minimum_filter1d(stretch.good.astype(np.int8), 2 * reach + 1) > 0
         kept = (clean & ~stretch.rest)[:: laws.step]
         kept[:edge] = False
         kept[count - edge :] = False
@@ -276,8 +276,8 @@ def rows_of(stretches: Sequence[DiagnosisStretch], filter_: Filter) -> Diagnosis
 def resting(smooth_rev: Floats, lsb_rev: float, period_s: float) -> Mask:
     """True where the position stays within REST_LSB counts for REST_S. (n,)"""
     half = max(1, round(0.5 * REST_S / period_s))
-    high = ndimage.maximum_filter1d(smooth_rev, 2 * half + 1)
-    low = ndimage.minimum_filter1d(smooth_rev, 2 * half + 1)
+    high = scipy.ndimage.maximum_filter1d(smooth_rev, 2 * half + 1)
+    low = scipy.ndimage.minimum_filter1d(smooth_rev, 2 * half + 1)
     return np.asarray(high - low < REST_LSB * lsb_rev)
 
 

@@ -12,7 +12,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, signal
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..identification.facts import DriveFacts
@@ -133,12 +133,12 @@ def thinned(values: Floats, thin: int) -> Floats:
     """Every `thin`-th of values (n,), low-passed without delay against aliasing."""
     if thin == 1:
         return values
-    return np.asarray(ndimage.correlate1d(values, _taps(thin), mode="nearest")[::thin])
+    return np.asarray(scipy.ndimage.correlate1d(values, _taps(thin), mode="nearest")[::thin])
 
 
 @cache
 def _taps(thin: int) -> Floats:
-    return np.asarray(signal.firwin(8 * thin + 1, KEPT_BAND / thin), dtype=np.float64)
+    return np.asarray(scipy.signal.firwin(8 * thin + 1, KEPT_BAND / thin), dtype=np.float64)
 
 
 def load_along(scene: Scene, name: str, values: Mapping[str, float]) -> Floats:

@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..identification.ranking import ranked
@@ -135,9 +135,9 @@ def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak
             levels.append(np.log(max(float(np.median(power[inside])), 1e-300)))
     if len(levels) < 3:
         return []
-    smooth = ndimage.median_filter(np.array(levels), 3, mode="nearest")
+    smooth = scipy.ndimage.median_filter(np.array(levels), 3, mode="nearest")
     level = np.exp(np.interp(np.log(np.maximum(places, places[1])), centres, smooth))
     ratio = np.where(places >= least, power / level, 0.0)
-    top = (ratio == ndimage.maximum_filter1d(ratio, 2 * NEIGHBOURS + 1)) & (ratio > OUTSTANDING)
+    top = (ratio == scipy.ndimage.maximum_filter1d(ratio, 2 * NEIGHBOURS + 1)) & (ratio > OUTSTANDING)
     found = [Peak(float(places[k]), float(ratio[k])) for k in np.flatnonzero(top)]
     return ranked(found, key=lambda p: -p.strength)[:count]

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student_t
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 
@@ -34,7 +34,7 @@ def mean_interval(values: Floats) -> SeedInterval:
     mean = float(values.mean())
     if values.size < 2:
         return SeedInterval(mean, float("nan"), float("nan"))
-    half = float(student_t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
+    half = float(scipy.stats.t.ppf(0.5 + 0.5 * LEVEL, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
     if values.min() > 0.0:
         return SeedInterval(mean, mean * math.exp(-half / mean), mean * math.exp(half / mean))
     low = max(0.0, mean - half) if values.min() == 0.0 else mean - half  # a count of events, say

@@ -9,18 +9,21 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from multiprocessing.context import ForkServerContext
 from typing import TypeVar
 
+# what their work loads at its first use: each process would take a second of its own for it
+LOADED_LATE = ("fffo_drive.jit.compiler", "scipy.signal")
+
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 def prepared_processes(module: str) -> ForkServerContext:
-    """A context whose processes are forked from a server that has already imported the module, which may take seconds.
+    """A context whose processes are forked from a server that has already imported all they need, which takes seconds.
 
     The server is a process of its own: one that is forked from this process would inherit locks held by threads that it
     does not have. The server keeps the environment in which it started; `take_environment` passes on later changes.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([module])  # without effect once the server runs
+    context.set_forkserver_preload([module, *LOADED_LATE])  # without effect once the server runs
     return context
 
 

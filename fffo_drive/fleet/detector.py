@@ -27,7 +27,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Integers
 from ..jit import njit
@@ -273,7 +273,7 @@ def log_norms() -> Floats:
     for slope in SLOPES:
         most = slope * np.minimum(reach, CLIP)
         growth = inside * np.sinh(most) / most + (1.0 - inside) * np.cosh(slope * CLIP)
-        worst = optimize.linprog(
+        worst = scipy.optimize.linprog(
             -growth, A_ub=moments[1][None], b_ub=[SECOND_MOMENT],
             A_eq=np.stack([np.ones_like(reach), moments[0]]), b_eq=[1.0, SCALE_MEAN],
         )  # fmt: skip

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..documents import counted
@@ -148,7 +148,7 @@ def _columns_compared(
         return [None] * len(laws), math.nan
     joint = float(found.change @ found.precision @ found.change)
     known = int(np.sum(np.linalg.eigvalsh(found.precision) > LARGEST_SD**-2.0))
-    joint_p = float(stats.f.sf(joint / known, known, found.dof))
+    joint_p = float(scipy.stats.f.sf(joint / known, known, found.dof))
     product = along @ fleet.directions.T
     chosen: list[int] = []
     changes: dict[int, _Change] = {}
@@ -174,7 +174,7 @@ def _beside(product: Floats, moment: Floats, chosen: Sequence[int], dof: float) 
     found = spectrum(product[part])
     change = float(found.solution(moment[list(chosen)])[-1])
     sd = float(np.linalg.norm(found.basis()[-1]))
-    return _Change(change, sd, float(2.0 * stats.t.sf(abs(change) / sd, dof)), dof)
+    return _Change(change, sd, float(2.0 * scipy.stats.t.sf(abs(change) / sd, dof)), dof)
 
 
 def _mean_difference(stack: Stack, fleet: FleetPrior, prior: ChannelPrior, group: Floats) -> _MeanDifference:
@@ -218,7 +218,7 @@ def _compared(channels: Channels, prior: ChannelPrior, c: int, group: Floats) ->
     spread = math.sqrt((2.0 * prior.shape[c] + found.misfit) / dof)
     alike = math.sqrt((1.0 + prior.memory[c]) / (1.0 - prior.memory[c])) if known.size > 2 else 1.0
     sd = found.sd * spread * alike
-    return _Change(found.size, sd, float(2.0 * stats.t.sf(abs(found.size) / sd, dof)), dof)
+    return _Change(found.size, sd, float(2.0 * scipy.stats.t.sf(abs(found.size) / sd, dof)), dof)
 
 
 def _holm(values: list[float]) -> list[float]:
@@ -235,7 +235,7 @@ def _law(
     stack: Stack, channels: Channels, c: int, found: _Change, p: float, confidence: float
 ) -> LawDifference:  # fmt: skip
     change, sd, _, dof, others = found
-    reach = float(stats.t.ppf(0.5 + 0.5 * confidence, dof)) * sd
+    reach = float(scipy.stats.t.ppf(0.5 + 0.5 * confidence, dof)) * sd
     ends = (change - reach, change + reach)
     column = stack.columns[c] if c < len(stack.columns) else None
     size, scale = None, "its size in the first set"

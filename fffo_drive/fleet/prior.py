@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy  # its modules load where they are first used
 
 from .. import formats
 from ..arrays import Floats
@@ -105,7 +105,7 @@ class Posterior(NamedTuple):
 
     def interval(self, confidence: float = 0.95) -> Floats:
         """Both ends of each parameter's interval. (p, 2)"""
-        reach = stats.t.ppf(0.5 + 0.5 * confidence, self.dof) * np.sqrt(np.diag(self.covariance))
+        reach = scipy.stats.t.ppf(0.5 + 0.5 * confidence, self.dof) * np.sqrt(np.diag(self.covariance))
         return np.column_stack([self.theta - reach, self.theta + reach])
 
 
@@ -202,7 +202,7 @@ def random_effects(information: Floats, moment: Floats) -> tuple[Floats, Floats]
     Outliers weigh less. What no drive determines keeps the smallest spread.
     """
     size = moment.shape[1]
-    limit = float(stats.chi2.ppf(1.0 - OUTLIER_P, size))
+    limit = float(scipy.stats.chi2.ppf(1.0 - OUTLIER_P, size))
     known = information + 1e-9 * np.einsum("dii->di", information).max() * np.eye(size)
     own = np.linalg.solve(known, moment[:, :, None])[:, :, 0]
     mean = np.median(own, axis=0)
@@ -291,7 +291,7 @@ def _chance(distance: float, rank: int, away_sd: Floats, drives: int) -> float:
     if not away_sd.size:
         return together
     far = float(np.max(np.abs(away_sd))) / np.sqrt(1.0 + 1.0 / drives)  # the mean is estimated too
-    alone = away_sd.size * 2.0 * float(stats.t.sf(far, drives - 1.0))
+    alone = away_sd.size * 2.0 * float(scipy.stats.t.sf(far, drives - 1.0))
     return min(1.0, 2.0 * min(together, alone))
 
 
@@ -300,6 +300,6 @@ def _hotelling_p(distance: float, rank: int, drives: int) -> float:
         return 1.0
     free = drives - rank
     if free < 1:
-        return float(stats.chi2.sf(distance, rank))
+        return float(scipy.stats.chi2.sf(distance, rank))
     ratio = distance * free * drives / (rank * (drives + 1.0) * (drives - 1.0))
-    return float(stats.f.sf(ratio, rank, free))
+    return float(scipy.stats.f.sf(ratio, rank, free))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy import special
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Integers
 from ..jit import njit
@@ -210,7 +210,7 @@ def _outside(spread: QuantitySpread, values: Floats, sds: Floats) -> Iterator[tu
         return
     scale = np.hypot(spread.spread, sds)
     distance = np.where(scale > 0.0, (values - spread.median) / np.where(scale > 0.0, scale, 1.0), 0.0)
-    limit = -float(special.stdtrit(MAD_DOF * (spread.drives - 1), OUTSIDE_P / (2.0 * spread.drives)))
+    limit = -float(scipy.special.stdtrit(MAD_DOF * (spread.drives - 1), OUTSIDE_P / (2.0 * spread.drives)))
     for k in np.flatnonzero(np.abs(distance) > limit):
         yield int(k), float(distance[k])
 

@@ -16,7 +16,6 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
-import scipy.signal  # noqa: F401  # here, before processes are forked: each would take a second to load it
 from threadpoolctl import threadpool_limits
 
 from ..documents import DocumentError

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Mask
 from ..drive.cia402 import STATUS_INTERNAL_LIMIT
@@ -161,7 +161,7 @@ def where_command_acts(record: Record) -> Record:
     if record.limited is None:
         return record
     reach = max(1, round(LIMIT_MARGIN_S / record.period_s))
-    kept = np.flatnonzero(~ndimage.binary_dilation(record.limited, iterations=reach))
+    kept = np.flatnonzero(~scipy.ndimage.binary_dilation(record.limited, iterations=reach))
     share = 100.0 * (1.0 - kept.size / record.samples)
     text = f"{record.path}: the drive was at its limit of current or voltage (statusword bit 11)"
     far = np.flatnonzero(np.diff(kept) > 1) + 1

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, signal
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from .dataset import DataError, Record
@@ -86,7 +86,7 @@ def frequency_response(record: Record) -> FrequencyResponse:
 def _cross_density(
     first: Floats, second: Floats, period_s: float, length: int
 ) -> tuple[Floats, npt.NDArray[np.complex128]]:
-    frequency, density = signal.csd(first, second, fs=1.0 / period_s, nperseg=length, noverlap=length * 3 // 4)
+    frequency, density = scipy.signal.csd(first, second, fs=1.0 / period_s, nperseg=length, noverlap=length * 3 // 4)
     return np.asarray(frequency), np.asarray(density, dtype=np.complex128)
 
 
@@ -122,7 +122,7 @@ def fit_first_order(response: FrequencyResponse) -> FirstOrder:
 
     found = min(
         (
-            optimize.least_squares(errors, [level.max(), math.log(t)], loss="soft_l1", f_scale=0.2)
+            scipy.optimize.least_squares(errors, [level.max(), math.log(t)], loss="soft_l1", f_scale=0.2)
             for t in (0.02, 0.1, 0.5)
         ),
         key=lambda result: float(result.cost),

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import signal, stats
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Mask
 from ..model.effects.table import Term
@@ -181,7 +181,7 @@ def whiteness(values: Floats) -> dict[str, float]:
         "effective_samples": count,
         "lag_1": float(correlation[1]) if correlation.size > 1 else 0.0,
         "ljung_box": statistic,
-        "p_value": float(stats.chi2.sf(statistic, lags)),
+        "p_value": float(scipy.stats.chi2.sf(statistic, lags)),
     }
 
 
@@ -205,7 +205,7 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
         # the product, not the residual, determines the effective number of samples
         count, _ = effective_samples(centred_r * centred)
         t = correlation * math.sqrt(max(1.0, count - 2.0) / max(1e-12, 1.0 - correlation * correlation))
-        result.append(Dependence(name, correlation, float(2.0 * stats.t.sf(abs(t), max(1.0, count - 2.0)))))
+        result.append(Dependence(name, correlation, float(2.0 * scipy.stats.t.sf(abs(t), max(1.0, count - 2.0)))))
     return result
 
 
@@ -251,8 +251,8 @@ def _summary(run: RunResidual) -> dict[str, Any]:
         "velocity_window_s": WINDOW_S,
         "windows": int(errors.shape[0]),
         "histogram": _histogram(r),
-        "skewness": float(stats.skew(r)) if shaped else 0.0,
-        "excess_kurtosis": float(stats.kurtosis(r)) if shaped else 0.0,
+        "skewness": float(scipy.stats.skew(r)) if shaped else 0.0,
+        "excess_kurtosis": float(scipy.stats.kurtosis(r)) if shaped else 0.0,
         "whiteness": whiteness(r[::step]) if r.size > 50 * step else {},
         "dependence": [d._asdict() for d in dependences(found, step)],
         "by_regime": {
@@ -307,8 +307,8 @@ def _by_speed(run: RunResidual) -> list[dict[str, float]]:
 def _by_frequency(found: TorqueResidual, period_s: float) -> list[dict[str, float]]:
     length = min(found.residual_nm.size, 2 ** round(math.log2(8.0 / period_s)))
     residual = np.where(found.kept, found.residual_nm, 0.0)
-    frequency, density = signal.welch(residual, 1.0 / period_s, nperseg=length)
-    _, torque = signal.welch(found.torque_nm, 1.0 / period_s, nperseg=length)
+    frequency, density = scipy.signal.welch(residual, 1.0 / period_s, nperseg=length)
+    _, torque = scipy.signal.welch(found.torque_nm, 1.0 / period_s, nperseg=length)
     rows = []
     for low in 0.125 * 2.0 ** np.arange(9):
         inside = (frequency >= low) & (frequency < 2.0 * low)

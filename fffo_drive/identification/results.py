@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
+import scipy  # its modules load where they are first used
 
 from .. import __version__, formats
 from ..model.effects.registry import law_of
@@ -193,7 +193,7 @@ def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dic
 def reach_of(fit: Fit) -> float:
     """Half an interval over its standard deviation."""
     windows = fit.uncertainty.windows - len(MODEL_PARAMETERS)
-    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(2, windows)))
+    return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(2, windows)))
 
 
 def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..least_squares import least_squares
@@ -177,7 +177,7 @@ def smooth_derivative(values: Floats, time_s: Floats) -> tuple[Floats, Floats]:
 
 def smoothed(values: Floats) -> Floats:
     """Values (n,) over the window of `smooth_derivative`."""
-    return np.asarray(ndimage.uniform_filter1d(values, SMOOTH_SAMPLES))
+    return np.asarray(scipy.ndimage.uniform_filter1d(values, SMOOTH_SAMPLES))
 
 
 def relation(one: Floats, other: Floats) -> Relation:

@@ -6,7 +6,9 @@ named after the content of every file with a kernel in it. numba's own cache key
 edited callee in another file would go unnoticed. A port of a user's own is keyed by the content of its file, and a
 kernel from outside this package by that of all kernels in its folder.
 
-With NUMBA_DISABLE_JIT=1 the same functions run as plain Python.
+numba itself takes longer to import than most commands take to run, so it is loaded with the first kernel that is called
+from Python (`compiler`); until then a kernel is a name and a Python function. With NUMBA_DISABLE_JIT=1 the same
+functions run as plain Python, and it is never loaded.
 """
 
 from __future__ import annotations
@@ -15,47 +17,33 @@ import functools
 import hashlib
 import os
 import shutil
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, overload
-
-import numba
-from numba import types
-from numba.core.caching import FunctionCache
-from numba.extending import overload as numba_overload
 
 from ..directories import ForeignDirectoryError, own_directory, shared_place
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE_DIRECTORY = Path(__file__).resolve().parent.parent
-# without numba's runtime there is nothing to allocate with, and no reference count of an array is touched: their atomic
-# increments were two fifths of the loop's cycle
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 KEPT_CACHES = 4  # older cache directories are deleted: each edit of a kernel makes a new one
 
 
 def kernel_digest() -> str:
     """Hash over every source file of the package that holds a kernel (16 hex digits)."""
-    return _digest(PACKAGE_DIRECTORY, PACKAGE_DIRECTORY.rglob("*.py"))
+    return digest_of(PACKAGE_DIRECTORY, PACKAGE_DIRECTORY.rglob("*.py"))
 
 
-def _digest(directory: Path, paths: Iterable[Path]) -> str:
-    """Hash over those of the files in a directory that hold a kernel (16 hex digits)."""
-    digest = hashlib.sha256(numba.__version__.encode())
+def digest_of(directory: Path, paths: Iterable[Path]) -> str:
+    """Hash over those of the files in a directory that hold a kernel, or declare something to it (16 hex digits)."""
+    digest = hashlib.sha256(metadata.version("numba").encode())
     for path in sorted(paths):
         content = path.read_bytes()
-        if b"njit" in content:
+        if b"njit" in content or b"when_compiling" in content:
             digest.update(path.relative_to(directory).as_posix().encode())
             digest.update(content)
     return digest.hexdigest()[:16]
-
-
-@functools.cache
-def _digest_beside(path: Path) -> str:
-    """Hash over the kernels in the folder of one from outside this package, which may call them; "" for one inside."""
-    return "" if PACKAGE_DIRECTORY in path.parents else _digest(path.parent, path.parent.glob("*.py"))
 
 
 def cache_root() -> Path:
@@ -89,7 +77,9 @@ def _is_ours(path: Path) -> bool:
     return there.exists() and there.stat().st_uid == os.getuid()
 
 
-def _use_cache_directory() -> Path:
+@functools.cache
+def cache_directory() -> Path:
+    """Directory of the compiled code of these kernels; makes it, and deletes the oldest of its kind."""
     root = cache_root()
     directory = root / kernel_digest()
     if not directory.is_dir():
@@ -97,43 +87,55 @@ def _use_cache_directory() -> Path:
         caches = [p for p in root.iterdir() if p.is_dir() and len(p.name) == len(directory.name)]
         for old in sorted(caches, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_CACHES:]:
             shutil.rmtree(old, ignore_errors=True)
-    numba.config.CACHE_DIR = str(directory)
     return directory
 
 
-CACHE_DIRECTORY = _use_cache_directory()
-INTERPRETED = bool(numba.config.DISABLE_JIT)
+def _is_switched_off(text: str) -> bool:
+    """NUMBA_DISABLE_JIT as numba reads it."""
+    try:
+        return bool(int(text))
+    except ValueError:
+        return False
 
 
-def _named_tuples(kind: Any) -> Iterator[type]:
-    """Classes of the named tuples in a numba type, or in a tuple of types."""
-    if isinstance(kind, types.BaseNamedTuple):
-        yield kind.instance_class
-    if isinstance(kind, tuple | types.BaseTuple):
-        for part in kind:
-            yield from _named_tuples(part)
+INTERPRETED = _is_switched_off(os.environ.get("NUMBA_DISABLE_JIT", ""))
 
 
-def _origin(named_tuple: type) -> str:
-    """Where a class is from; one from outside this package also by the content of its file, which holds its kernels."""
-    name = f"{named_tuple.__module__}.{named_tuple.__qualname__}"
-    if named_tuple.__module__.startswith(f"{PACKAGE_DIRECTORY.name}."):
-        return name
-    path = getattr(sys.modules.get(named_tuple.__module__), "__file__", None)
-    return f"{name} {hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else os.getpid()}"
+class Kernel:
+    """A function that numba compiles when it is called, or when a kernel that calls it is compiled.
 
-
-class _KernelCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache with text for a signature, since a pickled class can be read only where it can be imported.
-
-    Without it, one script with a port of its own made every other program fail at the loop's cache.
+    It has all attributes of numba's dispatcher, which is made when the first of them is asked for.
     """
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        arguments = tuple(sig) if isinstance(sig, tuple) else sig.args
-        origins = sorted({_origin(named_tuple) for named_tuple in _named_tuples(arguments)})
-        beside = _digest_beside(Path(self._py_func.__code__.co_filename).resolve())
-        return (repr((arguments, origins, beside)), *super()._index_key(sig, codegen)[1:])
+    def __init__(self, py_func: Callable[..., Any], inline: bool) -> None:
+        functools.update_wrapper(self, py_func)
+        self.py_func = py_func
+        self.inline = inline
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self.dispatcher(*arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:  # of what is not here yet; numba types a kernel by its `_numba_type_`
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name == "dispatcher":
+            from .compiler import dispatcher_of
+
+            return dispatcher_of(self)
+        return getattr(self.dispatcher, name)
+
+    def __reduce__(self) -> str:  # by name, which is that of the function
+        return self.py_func.__qualname__
+
+
+declarations: list[Callable[[], None]] = []
+
+
+def when_compiling(declare: Callable[[], None]) -> Callable[[], None]:
+    """Declare to numba what is not a kernel (overloads, intrinsics) once it is loaded; never if nothing is compiled."""
+    if not INTERPRETED:
+        declarations.append(declare)
+    return declare
 
 
 @overload
@@ -148,10 +150,7 @@ def njit(function: Any = None, *, inline: str = "never") -> Any:
     """
 
     def wrap(f: Any) -> Any:
-        kernel = numba.njit(f, fastmath=False, forceinline=inline == "always", **_OPTIONS)
-        if not INTERPRETED:
-            kernel._cache = _KernelCache(f)
-        return kernel
+        return f if INTERPRETED else Kernel(f, inline == "always")
 
     return wrap if function is None else wrap(function)
 
@@ -182,21 +181,11 @@ def generic(declaration: F) -> F:
 
     call.register = register  # type: ignore[attr-defined]
 
-    if not INTERPRETED:
-
-        def choose(first: Any, *rest: Any) -> Any:
-            if not isinstance(first, types.BaseNamedTuple):
-                return None
-            kernel = registry.get(first.instance_class)
-            if kernel is None:
-                return None
-
-            # a call, not the kernel's own Python function: that would be compiled twice under one symbol and crash
-            def implementation(first: Any, *rest: Any) -> Any:
-                return kernel(first, *rest)
-
-            return implementation
-
-        options = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # its callers are cached whole
-        numba_overload(call, strict=False, jit_options=options | {"forceinline": True})(choose)
+    when_compiling(lambda: _declare_choice(call, registry))
     return call  # type: ignore[return-value]
+
+
+def _declare_choice(call: Callable[..., Any], registry: dict[type, Callable[..., Any]]) -> None:
+    from .compiler import declare_choice
+
+    declare_choice(call, registry)

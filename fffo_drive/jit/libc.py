@@ -11,11 +11,9 @@ import time
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic, overload
 
 from ..units import NS_PER_S
+from . import when_compiling
 
 _C = ctypes.CDLL(None, use_errno=True)
 
@@ -40,26 +38,6 @@ _send = _declare("send", ctypes.c_ssize_t, ctypes.c_int, _PTR, ctypes.c_size_t, 
 _ppoll = _declare("ppoll", ctypes.c_int, _PTR, ctypes.c_ulong, _PTR, _PTR)
 _clock_nanosleep = _declare("clock_nanosleep", ctypes.c_int, ctypes.c_int, ctypes.c_int, _PTR, _PTR)
 
-_x_recv = types.ExternalFunction("recv", types.intp(types.intc, types.uintp, types.uintp, types.intc))
-_x_send = types.ExternalFunction("send", types.intp(types.intc, types.uintp, types.uintp, types.intc))
-_x_ppoll = types.ExternalFunction("ppoll", types.intc(types.uintp, types.uintp, types.uintp, types.uintp))
-_x_clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.uintp))
-_x_clock_nanosleep = types.ExternalFunction(
-    "clock_nanosleep", types.intc(types.intc, types.intc, types.uintp, types.uintp)
-)
-_x_errno_location = types.ExternalFunction("__errno_location", types.uintp())
-
-
-@intrinsic
-def _load_int32(typingctx: Any, address: Any) -> Any:
-    """Read a C int at an address (for errno)."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = builder.inttoptr(arguments[0], cgutils.int32_t.as_pointer())
-        return builder.load(pointer)
-
-    return types.int32(types.uintp), codegen
-
 
 def recv(fd: int, address: int, length: int, flags: int) -> int:
     """recv(2): bytes received, or -errno."""
@@ -67,32 +45,10 @@ def recv(fd: int, address: int, length: int, flags: int) -> int:
     return n if n >= 0 else -ctypes.get_errno()
 
 
-@overload(recv)
-def _recv_overload(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-    def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-        n = _x_recv(fd, address, length, flags)
-        if n >= 0:
-            return np.int64(n)
-        return -np.int64(_load_int32(_x_errno_location()))
-
-    return implementation
-
-
 def send(fd: int, address: int, length: int, flags: int) -> int:
     """send(2): bytes sent, or -errno."""
     n = int(_send(fd, address, length, flags))
     return n if n >= 0 else -ctypes.get_errno()
-
-
-@overload(send)
-def _send_overload(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-    def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-        n = _x_send(fd, address, length, flags)
-        if n >= 0:
-            return np.int64(n)
-        return -np.int64(_load_int32(_x_errno_location()))
-
-    return implementation
 
 
 def wait_readable(scratch: np.ndarray[Any, np.dtype[np.int64]], fd: int, timeout_ns: int) -> int:
@@ -108,33 +64,9 @@ def wait_readable(scratch: np.ndarray[Any, np.dtype[np.int64]], fd: int, timeout
     return n if n >= 0 else -ctypes.get_errno()
 
 
-@overload(wait_readable)
-def _wait_readable_overload(scratch: Any, fd: Any, timeout_ns: Any) -> Any:
-    def implementation(scratch: Any, fd: Any, timeout_ns: Any) -> Any:
-        scratch[0] = np.int64(fd) | (POLLIN << 32)
-        scratch[1] = timeout_ns // NS_PER_S
-        scratch[2] = timeout_ns % NS_PER_S
-        base = scratch.ctypes.data
-        n = _x_ppoll(base, 1, base + 8, 0)
-        if n >= 0:
-            return np.int64(n)
-        return -np.int64(_load_int32(_x_errno_location()))
-
-    return implementation
-
-
 def monotonic_ns(scratch: np.ndarray[Any, np.dtype[np.int64]]) -> int:
     """CLOCK_MONOTONIC in nanoseconds. `scratch`: at least 2 int64 of the caller's memory."""
     return time.monotonic_ns()
-
-
-@overload(monotonic_ns)
-def _monotonic_ns_overload(scratch: Any) -> Any:
-    def implementation(scratch: Any) -> Any:
-        _x_clock_gettime(CLOCK_MONOTONIC, scratch.ctypes.data)
-        return scratch[0] * NS_PER_S + scratch[1]
-
-    return implementation
 
 
 def sleep_until(scratch: np.ndarray[Any, np.dtype[np.int64]], deadline_ns: int) -> int:
@@ -144,11 +76,79 @@ def sleep_until(scratch: np.ndarray[Any, np.dtype[np.int64]], deadline_ns: int) 
     return int(_clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, scratch.ctypes.data, 0))
 
 
-@overload(sleep_until)
-def _sleep_until_overload(scratch: Any, deadline_ns: Any) -> Any:
-    def implementation(scratch: Any, deadline_ns: Any) -> Any:
-        scratch[0] = deadline_ns // NS_PER_S
-        scratch[1] = deadline_ns % NS_PER_S
-        return np.int64(_x_clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, scratch.ctypes.data, 0))
+@when_compiling
+def _for_kernels() -> None:
+    """The same in compiled code."""
+    from numba import types
+    from numba.core import cgutils
+    from numba.extending import intrinsic, overload
 
-    return implementation
+    x_recv = types.ExternalFunction("recv", types.intp(types.intc, types.uintp, types.uintp, types.intc))
+    x_send = types.ExternalFunction("send", types.intp(types.intc, types.uintp, types.uintp, types.intc))
+    x_ppoll = types.ExternalFunction("ppoll", types.intc(types.uintp, types.uintp, types.uintp, types.uintp))
+    x_clock_gettime = types.ExternalFunction("clock_gettime", types.intc(types.intc, types.uintp))
+    x_clock_nanosleep = types.ExternalFunction(
+        "clock_nanosleep", types.intc(types.intc, types.intc, types.uintp, types.uintp)
+    )
+    x_errno_location = types.ExternalFunction("__errno_location", types.uintp())
+
+    @intrinsic
+    def load_int32(typingctx: Any, address: Any) -> Any:
+        """Read a C int at an address (for errno)."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            pointer = builder.inttoptr(arguments[0], cgutils.int32_t.as_pointer())
+            return builder.load(pointer)
+
+        return types.int32(types.uintp), codegen
+
+    @overload(recv)
+    def recv_compiled(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+        def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+            n = x_recv(fd, address, length, flags)
+            if n >= 0:
+                return np.int64(n)
+            return -np.int64(load_int32(x_errno_location()))
+
+        return implementation
+
+    @overload(send)
+    def send_compiled(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+        def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+            n = x_send(fd, address, length, flags)
+            if n >= 0:
+                return np.int64(n)
+            return -np.int64(load_int32(x_errno_location()))
+
+        return implementation
+
+    @overload(wait_readable)
+    def wait_readable_compiled(scratch: Any, fd: Any, timeout_ns: Any) -> Any:
+        def implementation(scratch: Any, fd: Any, timeout_ns: Any) -> Any:
+            scratch[0] = np.int64(fd) | (POLLIN << 32)
+            scratch[1] = timeout_ns // NS_PER_S
+            scratch[2] = timeout_ns % NS_PER_S
+            base = scratch.ctypes.data
+            n = x_ppoll(base, 1, base + 8, 0)
+            if n >= 0:
+                return np.int64(n)
+            return -np.int64(load_int32(x_errno_location()))
+
+        return implementation
+
+    @overload(monotonic_ns)
+    def monotonic_ns_compiled(scratch: Any) -> Any:
+        def implementation(scratch: Any) -> Any:
+            x_clock_gettime(CLOCK_MONOTONIC, scratch.ctypes.data)
+            return scratch[0] * NS_PER_S + scratch[1]
+
+        return implementation
+
+    @overload(sleep_until)
+    def sleep_until_compiled(scratch: Any, deadline_ns: Any) -> Any:
+        def implementation(scratch: Any, deadline_ns: Any) -> Any:
+            scratch[0] = deadline_ns // NS_PER_S
+            scratch[1] = deadline_ns % NS_PER_S
+            return np.int64(x_clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, scratch.ctypes.data, 0))
+
+        return implementation

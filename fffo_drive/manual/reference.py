@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ..cli import COMMANDS, parser_of
-from ..cli.config import SCHEMAS
+from ..cli.config import SCHEMAS, schema_record
 from ..cli.exits import MEANINGS
 from ..control.envelope import DEFAULT_REACTIONS, REACTION_COAST, TRIP_NAMES, TRIP_TEXTS
 from ..daemon.parameters import METHODS
@@ -127,7 +127,7 @@ def _help_of(action: argparse.Action) -> str:
 def file_page(kind: str) -> str:
     """One kind of file: each section with its keys, from the pydantic records."""
     title, text = FILES[kind]
-    schema = SCHEMAS[kind].model_json_schema()
+    schema = schema_record(kind).model_json_schema()
     sections = schema.get("$defs", {})
     lines = [
         f"(file-{kind})=",

@@ -13,7 +13,7 @@ import errno
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -36,19 +36,10 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from .settings import BinaryFile, Compression
+
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD_LEVEL = 3  # twice the level buys 1 % of size for twice the time
-Compression = Literal["zstd", "none"]
-
-
-class BinaryFile(Protocol):
-    """Required interface of a file: unbuffered, so that `write` may write less than it was given."""
-
-    def write(self, data: Any, /) -> int | None: ...
-    def seek(self, offset: int, /) -> int: ...
-    def truncate(self, size: int, /) -> int: ...
-    def fileno(self) -> int: ...
-    def close(self) -> None: ...
 
 
 class ChunkBuilder:

@@ -25,7 +25,8 @@ from .scan import (
     segments,
 )
 from .schema import METADATA_NAME, ROW_TOPIC, SUMMARY_NAME, message_dtype
-from .writer import CHUNK_SIZE, LIBRARY, open_new
+from .settings import CHUNK_SIZE, open_new
+from .writer import LIBRARY
 
 RESCUE_SUFFIX = ".recovering"  # not .part: that is often the name of the input
 _MESSAGE_PREFIX = message_dtype(0).itemsize

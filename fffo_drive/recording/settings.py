@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
+import io
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from .container import Compression
 from .events import Event
-from .writer import CHUNK_SIZE, Attachments, Opener, open_new
+
+CHUNK_SIZE = 256 * 1024  # bytes
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
+Attachments = Sequence[tuple[str, str, bytes]]  # name, media type, content
+Compression = Literal["zstd", "none"]
+
+
+class BinaryFile(Protocol):
+    """Required interface of a file: unbuffered, so that `write` may write less than it was given."""
+
+    def write(self, data: Any, /) -> int | None: ...
+    def seek(self, offset: int, /) -> int: ...
+    def truncate(self, size: int, /) -> int: ...
+    def fileno(self) -> int: ...
+    def close(self) -> None: ...
+
+
+Opener = Callable[[Path], BinaryFile]
+
+
+def open_new(path: Path) -> BinaryFile:
+    """Create a file that must not be there yet, unbuffered."""
+    return io.FileIO(path, "xb")
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from mcap.records import Channel, Message, Schema
 from .. import __version__
 from ..signals import ROW
 from ..units import NS_PER_S
-from .container import BinaryFile, ChunkBuilder, Compression, McapFile, record_bytes
+from .container import ChunkBuilder, McapFile, record_bytes
 from .errors import RecordingError
 from .events import EVENT_SCHEMA, Event, encode_event, utc_text
 from .run_records import RECORD_SCHEMA, RECORD_TOPIC, RECORD_TYPE, RunRecord, encode_record
@@ -36,17 +35,15 @@ from .schema import (
     message_dtype,
     schema_text,
 )
+from .settings import CHUNK_SIZE, Attachments, Compression, Opener, open_new
 
 LIBRARY = f"fffo-drive/{__version__}"
 PART_SUFFIX = ".part"
-CHUNK_SIZE = 256 * 1024
 ROW_CHANNEL = 1
 EVENT_CHANNEL = 2
 RECORD_CHANNEL = 3
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
-Attachments = Sequence[tuple[str, str, bytes]]  # name, media type, content
-Opener = Callable[[Path], BinaryFile]
 
 _ROW_BYTES = np.dtype(f"V{ROW.itemsize}")
 _ROW_MESSAGE = message_dtype(len(CDR_HEADER) + ROW.itemsize)
@@ -61,11 +58,6 @@ _ROW_PART = np.dtype(  # the same bytes with the row apart from the CDR header
         "itemsize": _ROW_MESSAGE.itemsize,
     }
 )
-
-
-def open_new(path: Path) -> BinaryFile:
-    """Create a file that must not be there yet, unbuffered."""
-    return io.FileIO(path, "xb")
 
 
 def wall_clock_offset_ns(samples: int = 9) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import signal
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
 from ..documents import sentence
@@ -125,7 +125,7 @@ def _frequencies(records: Sequence[Record], coverage: Coverage) -> Figure:
         window = min(values.size, round(WINDOW_S / record.period_s))
         if window * record.period_s < LEAST_WINDOW_S and series:
             continue
-        hz, density = signal.welch(values, 1.0 / record.period_s, nperseg=window)
+        hz, density = scipy.signal.welch(values, 1.0 / record.period_s, nperseg=window)
         hz, density = hz[1:], np.sqrt(density[1:])
         floor = max(1e-6 * float(density.max(initial=0.0)), 1e-12)
         edges = np.geomspace(hz[0], hz[-1], min(FREQUENCIES, hz.size) + 1)

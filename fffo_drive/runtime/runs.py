@@ -7,7 +7,7 @@ import platform
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from .. import __version__
 from ..control.envelope import TRIP_NONE, TRIP_TEXTS
@@ -17,15 +17,16 @@ from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
 from ..drive.port import DriveIdentity, ExchangeCounts, exchange_counts, port_now_ns
 from ..jit import kernel_digest
 from ..recording.events import Level
-from ..recording.recorder import Recorder
 from ..recording.ring_reader import RingReader
 from ..recording.settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
-from ..recording.writer import wall_clock_offset_ns
 from ..units import NS_PER_S
 from . import blocks as b
 from .adaptation_watch import BoundWatch
 from .effect_monitor import EffectMonitor
 from .session import Session
+
+if TYPE_CHECKING:
+    from ..recording.recorder import Recorder
 
 POLL_S = 0.05
 NOT_ENABLED = "the drive did not reach Operation Enabled in time"
@@ -105,6 +106,8 @@ def record_simulated(
     settings: RecorderSettings | None = None, hooks: RecorderHooks | None = None,
 ) -> RunOutcome:  # fmt: skip
     """Run in simulated time, then write all rows. The session's ring must hold the whole run."""
+    from ..recording.recorder import Recorder
+
     hooks = hooks or RecorderHooks(clock_ns=lambda: int(port_now_ns(session.drive.port)))
     # opened before anything moves: a path that cannot be written is an error now
     recorder = Recorder(
@@ -132,6 +135,9 @@ def record_live(
 
     An exception (Ctrl-C, say) disables the drive before it goes on.
     """
+    from ..recording.recorder import Recorder
+    from ..recording.writer import wall_clock_offset_ns
+
     header = _with_offset(header, wall_clock_offset_ns())
     recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True, records=session.records)
     counted = exchange_counts(session.drive.feedback)

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import typeof
 
 from ..arrays import Floats
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
@@ -24,7 +23,6 @@ from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
-from ..jit.linear_algebra import leave_out as leave_out_linear_algebra
 from ..recording.run_records import RecordBook, RunRecord
 from . import blocks as b
 from . import records
@@ -214,7 +212,8 @@ class Session:
         """Compile everything that the loop calls, then disable compilation: it would stop the tick for seconds."""
         if INTERPRETED:
             return
-        leave_out_linear_algebra()
+        from numba import typeof
+
         dispatcher: Any = run_loop
         with _COMPILING:
             dispatcher.disable_compile(False)

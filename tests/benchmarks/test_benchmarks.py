@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
-COMMANDS = ("loop_cycle", "lateness", "plant", "identification", "recorder", "node", "live")
+COMMANDS = ("loop_cycle", "lateness", "plant", "identification", "recorder", "node", "live", "small_commands")
 NEED_C = ("loop_cycle", "lateness", "plant", "identification")
 UNAVAILABLE = 69
 
@@ -209,3 +209,20 @@ def test_constants_of_two_values_are_refused():
     done = python("-c", code)
     assert done.returncode == 1
     assert "A has two values" in done.stderr
+
+
+LOADED = """
+import json
+from small_commands import EDS, HEAVY, loaded
+found = dict(loaded())
+print(json.dumps({"eds": f"drive-info {EDS}", "heavy": {command: names for command, names in found.items() if names}}))
+"""
+
+
+@pytest.mark.timeout(120)
+def test_small_commands_load_no_compiler_and_nothing_else_that_is_slow():
+    """Counted in modules, one command after the other; what they cost stands in results/small_commands.md."""
+    done = python("-c", LOADED)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["heavy"] == {facts["eds"]: ["canopen"]}  # it reads the file with that library

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fffo_drive.cli import main
-from fffo_drive.cli.config import SCHEMAS
+from fffo_drive.cli.config import SCHEMAS, schema_record
 from fffo_drive.commissioning.record import CommissioningRecord
 from fffo_drive.config.adoption import History
 from fffo_drive.config.axis import (
@@ -188,7 +188,7 @@ def test_the_record_of_the_simulated_drive_is_its_dataclass():
     assert dataclass_of(NodeConfig, record_of(NodeConfig)()) == NodeConfig()
 
 
-RECORDS = SCHEMAS | {"commissioning": CommissioningRecord, "adoptions": History}
+RECORDS = {kind: schema_record(kind) for kind in SCHEMAS} | {"commissioning": CommissioningRecord, "adoptions": History}
 
 
 @pytest.mark.parametrize("kind", RECORDS)

@@ -16,6 +16,7 @@ from fffo_drive.daemon.places import socket_directory, user_directory
 from fffo_drive.directories import ForeignDirectoryError, own_directory, require_own, shared_place
 from fffo_drive.jit import cache_root
 
+AXIS = Path(__file__).resolve().parents[2] / "configs" / "axis_simulated.yaml"
 NOBODY = 65534
 ROOT = os.getuid() == 0
 
@@ -122,9 +123,9 @@ def test_the_cache_of_another_user_is_passed_over(shared, monkeypatch):
 def test_a_command_that_compiles_says_so_without_a_traceback(shared):
     problem = made_by_others(shared_place("fffo_drive"))
     done = subprocess.run(
-        [sys.executable, "-m", "fffo_drive", "config", "signals"], capture_output=True, text=True,
-        env={**os.environ, "TMPDIR": str(shared)},
+        [sys.executable, "-m", "fffo_drive", "run", str(AXIS), "--out", str(shared / "run.mcap")],
+        capture_output=True, text=True, env={**os.environ, "TMPDIR": str(shared), "NUMBA_DISABLE_JIT": "0"},
     )  # fmt: skip
     assert done.returncode == 74
-    assert done.stderr.startswith(f"fffo-drive config: {shared_place('fffo_drive')}: {problem}")
+    assert done.stderr.startswith(f"fffo-drive run: {shared_place('fffo_drive')}: {problem}")
     assert len(done.stderr.splitlines()) == 1

@@ -19,7 +19,7 @@ from fffo_drive.can.frame import pack_frame
 from fffo_drive.can.lease import BusLease
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.cli import main
-from fffo_drive.jit import CACHE_DIRECTORY, kernel_digest
+from fffo_drive.jit import cache_directory, kernel_digest
 from fffo_drive.runtime.realtime import RealtimeReport
 from fffo_drive.system.compiled import cache_findings
 from fffo_drive.system.doctor import as_text, counts, examine
@@ -275,7 +275,7 @@ def test_a_cache_is_warm_once_the_loop_is_compiled(tmp_path):
     (services / "can0" / "0123" / "runtime_ab").mkdir()
     (services / "can0" / "0123" / "runtime_ab" / "loop.run_loop-1.py311.nbi").touch()
     assert cache_findings(tmp_path / "own", "0123", services)[1].level == "ok"
-    assert CACHE_DIRECTORY.name == kernel_digest()
+    assert cache_directory().name == kernel_digest()
 
 
 def doctor(capsys, *words: str) -> tuple[int, str]:

@@ -15,7 +15,6 @@ from mcap.writer import CompressionType, Writer
 from recording.samples import PERIOD_NS, WALL_NS, Disk, random_rows, same_bits, write_run
 from rosbags.highlevel import AnyReader
 
-from fffo_drive.recording.container import BinaryFile
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.events import EVENT_SCHEMA, Event, Level, encode_event
 from fffo_drive.recording.reader import read_run
@@ -36,7 +35,8 @@ from fffo_drive.recording.schema import (
     SUMMARY_NAME,
     schema_text,
 )
-from fffo_drive.recording.writer import LIBRARY, RunWriter, open_new, wall_clock_offset_ns
+from fffo_drive.recording.settings import BinaryFile, open_new
+from fffo_drive.recording.writer import LIBRARY, RunWriter, wall_clock_offset_ns
 from fffo_drive.signals import ROW, UNITS
 
 EVENT = Event(WALL_NS + 7, Level.ERROR, "loop", "trip: following error", {"code": 4, "limit_rev": 0.5})

@@ -63,12 +63,12 @@ from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.daemon.connection import OnPaper
 from fffo_drive.drive.simulated.node.process import rehearse
-from fffo_drive.jit import CACHE_DIRECTORY
+from fffo_drive.jit import cache_directory
 from fffo_drive.runtime.session import Session
 plan = make_plan(sys.argv[1])
 Session.rehearse(OnPaper(open_drive(plan).rehearsal_port()), plan_session(plan))
 rehearse(read_simulated(sys.argv[2]))
-print(CACHE_DIRECTORY)
+print(cache_directory())
 """
 
 

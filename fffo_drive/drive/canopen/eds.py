@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from canopen import ObjectDictionary, ObjectDictionaryError, import_od
-
 from ...can.frame import NODE_IDS
 from ..port import DriveIdentity, DriveRefusedError
 from .config import CanopenDriveConfig
@@ -47,6 +45,8 @@ def read_eds(path: str, node_id: int) -> Eds:
 
     Raises MappingError naming the file and what is wrong in it.
     """
+    from canopen import ObjectDictionary, ObjectDictionaryError, import_od  # slower than checking a file
+
     if node_id not in NODE_IDS:
         raise MappingError(f"node id {node_id}: 1 to 127")
     try:

@@ -17,9 +17,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
-from canopen import ObjectDictionary, SdoAbortedError, SdoCommunicationError
-from canopen.sdo.client import SdoClient
-
 from ...can import frame as can
 from ...can.bpf import CanFilter
 from ...can.frame import Frame, pack_frame, unpack_frame
@@ -65,21 +62,6 @@ class Emergency(NamedTuple):
 QUIET_TRIES = 20  # unanswered requests before an error
 REQUESTS_THAT_COUNT = 2  # requests answered twice before two nodes are reported to have one id
 READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000:00 (CiA 301 7.2.4.3.5)
-_NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
-
-
-class _Client(SdoClient):
-    """The library's client, without its own log message on a timeout, which is raised as an error here."""
-
-    length_of: LengthOf = staticmethod(standard_length)
-
-    def upload(self, index: int, subindex: int) -> bytes:
-        with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
-            sized, data = stream.size is not None, bytes(stream.read())
-        return data if sized else data[: self.length_of(index, subindex)]
-
-    def abort(self, abort_code: int = 0x08000000) -> None:
-        self.send_request(bytes([SDO_ABORT, 0, 0, 0]) + abort_code.to_bytes(4, "little"))  # type: ignore[no-untyped-call]
 
 
 def object_name(index: int, sub: int) -> str:
@@ -115,8 +97,10 @@ class Service:
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._direct = False
-        client_type: Any = _Client
-        self._client = client_type(can.SDO_REQUEST + node_id, can.SDO_RESPONSE + node_id, _NO_OBJECTS)
+        from .sdo_client import NO_OBJECTS, QuietSdoClient
+
+        client_type: Any = QuietSdoClient
+        self._client = client_type(can.SDO_REQUEST + node_id, can.SDO_RESPONSE + node_id, NO_OBJECTS)
         self._client.network = self
         self._client.RESPONSE_TIMEOUT = answer_timeout_s
         self._client.length_of = length_of
@@ -176,6 +160,8 @@ class Service:
             raise
 
     def _transact(self, index: int, sub: int, what: str, transfer: Callable[[], T]) -> T:
+        from canopen import SdoAbortedError, SdoCommunicationError
+
         name = object_name(index, sub)
         with self._transfer:
             for _ in range(self._attempts):

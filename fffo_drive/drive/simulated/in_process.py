@@ -158,7 +158,6 @@ class SimulatedDrive:
         self.plant_config = (plant or PlantConfig()).validate()
         self.device_config = (device or DeviceConfig()).validate()
         config = self.plant_config
-        self._cycle_address = cycle_address()
         self._port = SimulatedPort(
             feedback=new_feedback(),
             parameters=plant_parameters(config),
@@ -187,6 +186,7 @@ class SimulatedDrive:
         )
         port.values[COUNTS_PER_REV] = 1 << self.plant_config.resolver.bits
         words = port.words
+        kept_address = int(words[CYCLE_ADDRESS])
         words[...] = 0
         words[DEVICE_STATE] = START
         words[QUICK_STOP_OPTION] = device.quick_stop_option
@@ -194,7 +194,7 @@ class SimulatedDrive:
         words[STATUS_PERIOD] = device.status_period
         words[TURNAROUND_NS] = round(device.turnaround_s * NS_PER_S)
         words[SENT_STATUSWORD] = NO_STATUS
-        words[CYCLE_ADDRESS] = self._cycle_address
+        words[CYCLE_ADDRESS] = kept_address
 
     def connect(self) -> DriveIdentity:
         """Take the device from START to SWITCH ON DISABLED, as a drive does while it boots."""
@@ -210,7 +210,8 @@ class SimulatedDrive:
 
     @property
     def port(self) -> SimulatedPort:
-        """The compiled side."""
+        """The compiled side; with the first use, the plant is compiled or taken from the cache."""
+        self._port.words[CYCLE_ADDRESS] = cycle_address()
         return self._port
 
     @property

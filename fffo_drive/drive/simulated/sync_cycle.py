@@ -5,12 +5,10 @@ The CANopen node does the same with an object dictionary in between.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
-from numba import types
-from numba.extending import intrinsic, overload
-
-from ...jit import njit
+from ...jit import njit, when_compiling
 from ...jit.by_address import address_of, emit_call, interpreted_kernel
 from .braking import BrakeSettings, brake_kind, brake_step
 from .cia402_device import (
@@ -141,29 +139,26 @@ def drive_cycle(
     words[LATCHED_STATUSWORD] = statusword_of(device_state, bits)
 
 
-_FLOATS = types.Array(types.float64, 1, "C")
-_INTEGERS = types.Array(types.int64, 1, "C")
-_TABLE = types.Array(types.float64, 2, "C")
-_ARGUMENTS = (
-    types.NamedTuple((_FLOATS, _INTEGERS, _TABLE, _INTEGERS, _TABLE), PlantParameters),
-    types.NamedTuple((_FLOATS, _INTEGERS, _TABLE, _FLOATS, _FLOATS, _TABLE), PlantState),
-    types.NamedUniTuple(types.float64, len(BrakeSettings._fields), BrakeSettings),
-    _INTEGERS,
-    _FLOATS,
-)
+@cache
+def _arguments() -> tuple[Any, ...]:
+    """numba types of the arguments of `drive_cycle`."""
+    from numba import types
+
+    floats, table = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
+    integers = types.Array(types.int64, 1, "C")
+    return (
+        types.NamedTuple((floats, integers, table, integers, table), PlantParameters),
+        types.NamedTuple((floats, integers, table, floats, floats, table), PlantState),
+        types.NamedUniTuple(types.float64, len(BrakeSettings._fields), BrakeSettings),
+        integers,
+        floats,
+    )
 
 
+@cache
 def cycle_address() -> int:
     """Address of `drive_cycle` for `call_cycle`; compiles it when needed."""
-    return address_of(drive_cycle, _ARGUMENTS)
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _jump(typingctx: Any, address: Any, parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> Any:
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return emit_call(context, builder, _ARGUMENTS, arguments[0], arguments[1:])
-
-    return types.void(types.int64, *_ARGUMENTS), codegen
+    return address_of(drive_cycle, _arguments)
 
 
 def call_cycle(
@@ -173,9 +168,22 @@ def call_cycle(
     interpreted_kernel(int(words[CYCLE_ADDRESS]))(parameters, state, brake, words, values)
 
 
-@overload(call_cycle)  # type: ignore[untyped-decorator]
-def _call_cycle_overload(parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> Any:
-    def implementation(parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> None:
-        _jump(words[CYCLE_ADDRESS], parameters, state, brake, words, values)
+@when_compiling
+def _for_kernels() -> None:
+    """The same in compiled code."""
+    from numba import types
+    from numba.extending import intrinsic, overload
 
-    return implementation
+    @intrinsic  # type: ignore[untyped-decorator]
+    def jump(typingctx: Any, address: Any, parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return emit_call(context, builder, _arguments(), arguments[0], arguments[1:])
+
+        return types.void(types.int64, *_arguments()), codegen
+
+    @overload(call_cycle)  # type: ignore[untyped-decorator]
+    def call_compiled(parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> Any:
+        def implementation(parameters: Any, state: Any, brake: Any, words: Any, values: Any) -> None:
+            jump(words[CYCLE_ADDRESS], parameters, state, brake, words, values)
+
+        return implementation

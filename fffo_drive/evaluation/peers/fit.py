@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # its modules load where they are first used
 
 from ...arrays import Floats
 from ...jit import njit
@@ -135,7 +135,7 @@ def fit_friction(start: Model, velocity_rps: Floats, friction_nm: Floats, period
         return friction_along(model(logarithms), velocity_rps, period_s) - friction_nm
 
     first = np.log([getattr(start, name) for name in names])
-    found = least_squares(left, first, bounds=(first - REACH, first + REACH), x_scale=0.3, max_nfev=60)
+    found = scipy.optimize.least_squares(left, first, bounds=(first - REACH, first + REACH), x_scale=0.3, max_nfev=60)
     rms = float(np.sqrt(np.mean(found.fun**2) / np.mean(friction_nm**2)))
     return FittedPeer(model(found.x), rms)
 
