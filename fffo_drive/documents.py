@@ -212,6 +212,28 @@ def load_json(path: Path) -> Any:
         raise DocumentError(f"{path}: not JSON that a program would write") from None
 
 
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """A JSON object as RFC 8259 has it, each key once. Raises ValueError for anything else, however deep it is."""
+    try:
+        found = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_once)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if not isinstance(found, dict):
+        raise ValueError("not an object")
+    return found
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("a key is given twice")
+    return found
+
+
 def check(data: Any, record: type[M], name: str, lines: dict[Location, int] | None = None) -> M:
     """Check parsed data against a record, an older format brought up to date. Raises DocumentError with every error."""
     lines = lines or {}

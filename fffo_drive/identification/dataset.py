@@ -16,6 +16,7 @@ from ..arrays import Floats, Mask
 from ..drive.cia402 import STATUS_INTERNAL_LIMIT
 from ..recording.column_map import TIME, identity_map
 from ..recording.errors import RecordingError
+from ..recording.files import regular
 from ..recording.load import read_log
 from ..recording.reader import Run
 from ..recording.table import SUFFIXES, LogTable, column_names, read_table
@@ -107,7 +108,7 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     Raises DataError with all reasons against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(regular(path).read_bytes()).hexdigest()
     return record_of_log(path, log_of(path, facts), facts, digest)
 
 

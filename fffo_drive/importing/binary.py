@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 
 from ..recording.errors import RecordingError
+from ..recording.files import check_columns, text_bytes
 from ..recording.mat_elements import unpacked
+from ..recording.unpack import Allowance
 from .source import Source, source_of_arrays
 
+LARGEST_ARRAYS_BYTES = 1 << 32  # of a log as numbers, unpacked
+ZIP_MAGIC = b"PK\x03\x04"
 DEEPEST = 8  # of structures within structures
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 MAT_BLOCK_BYTES = 512  # in front of the HDF5 of MATLAB
@@ -64,6 +68,7 @@ def _read_mat_73(path: Path) -> Source:
 
     found: dict[str, Any] = {}
     remarks: list[str] = []
+    allowance = Allowance(path, path.stat().st_size, LARGEST_ARRAYS_BYTES)
     try:
         with h5py.File(path, "r") as file:
 
@@ -74,6 +79,7 @@ def _read_mat_73(path: Path) -> Source:
                 if "MATLAB_object_decode" in item.attrs:
                     remarks.append(_object_remark(name))
                 elif isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and kind not in (b"char", b"cell"):
+                    allowance.take(item.nbytes)
                     found[name.replace("/", ".")] = np.asarray(item[()])
 
             file.visititems(take)
@@ -87,7 +93,13 @@ def _read_mat_73(path: Path) -> Source:
 def read_npz(path: Path) -> Source:
     """Arrays of an NPZ or NPY file; fields of a structured array, columns of a matrix."""
     try:
-        content = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        data = path.read_bytes()
+        if data.startswith(ZIP_MAGIC):
+            allowance = Allowance(path, len(data), LARGEST_ARRAYS_BYTES)
+            with zipfile.ZipFile(io.BytesIO(data)) as packed:
+                for member in packed.infolist():
+                    allowance.take(member.file_size)
+        content = np.load(io.BytesIO(data), allow_pickle=False)
         arrays = (
             {path.stem: content} if isinstance(content, np.ndarray) else {name: content[name] for name in content.files}
         )
@@ -108,27 +120,40 @@ def read_parquet(path: Path) -> Source:
     from pyarrow import feather, parquet
 
     try:
-        table = parquet.read_table(path) if path.suffix.lower() in (".parquet", ".pq") else feather.read_table(path)
+        if path.suffix.lower() in (".parquet", ".pq"):
+            inside = parquet.read_metadata(path)
+            check_columns(path, inside.num_columns)
+            _check_size(path, inside.num_rows * inside.num_columns * np.float64().nbytes)
+            table = parquet.read_table(path)
+        else:
+            table = feather.read_table(path)
     except (pyarrow.ArrowInvalid, OSError) as error:
         raise RecordingError(f"{path}: not a readable Parquet or Feather file: {error}") from error
     return source_of_arrays(path, {name: table.column(name).to_numpy() for name in table.column_names})
 
 
+def _check_size(path: Path, size_bytes: int) -> None:
+    """Raises RecordingError for numbers that no memory holds."""
+    Allowance(path, size_bytes, LARGEST_ARRAYS_BYTES).take(size_bytes)
+
+
 def read_json(path: Path) -> Source:
     """Records (a list of objects), or lists by name, at the top or one level below; single numbers beside them."""
     try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
+        content = json.loads(text_bytes(path))
+    except ValueError as error:
         raise RecordingError(f"{path}: not readable as JSON: {error}") from error
+    except RecursionError:
+        raise RecordingError(f"{path}: not readable as JSON: nested too deeply") from None
     found: dict[str, Any] = {}
     if isinstance(content, dict):
         for name, value in content.items():
             if _are_records(value):
-                found |= _of_records(value)
+                found |= _of_records(path, value)
             else:
                 _flatten(name, value, found)
     elif _are_records(content):
-        found = _of_records(content)
+        found = _of_records(path, content)
     else:
         raise RecordingError(
             f"{path}: a list of objects, or an object of lists is needed; it holds {type(content).__name__}"
@@ -140,12 +165,13 @@ def _are_records(value: Any) -> bool:
     return isinstance(value, list) and len(value) > 1 and all(isinstance(row, dict) for row in value)
 
 
-def _of_records(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _of_records(path: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Columns of records, NaN where one has not the key; text is left to the caller to refuse."""
     flat: list[dict[str, Any]] = []
     for row in rows:
         own: dict[str, Any] = {}
         _flatten("", row, own)
+        check_columns(path, len(own), f", record {len(flat) + 1}")
         flat.append(own)
     names = dict.fromkeys(name for row in flat for name in row)
     found: dict[str, Any] = {}

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from ..recording.errors import RecordingError
+from ..recording.scan import DamagedRecordError, Scanner
 from ..units import NS_PER_S
 from .evidence import at_stamps
 from .names import measured_wrap
@@ -33,6 +35,7 @@ def read_foreign_mcap(path: Path) -> Source:
     topics: dict[str, list[tuple[int, dict[str, float]]]] = {}  # stamps in ns: seconds since 1970 lose digits
     remarks: list[str] = []
     try:
+        _check_chunks(path)
         with path.open("rb") as file:
             reader = make_reader(file)
             decoders: dict[int, Any] = {}
@@ -50,12 +53,21 @@ def read_foreign_mcap(path: Path) -> Source:
                 if numbers:
                     time_ns = message.log_time if stamp_ns is None else stamp_ns
                     topics.setdefault(channel.topic, []).append((time_ns, numbers))
-    except (McapError, ValueError, EOFError, KeyError, IndexError, OSError) as error:
+    except (McapError, DamagedRecordError, RecursionError, ValueError, LookupError, EOFError, OSError) as error:
         raise RecordingError(f"{path}: not a readable MCAP file: {error}") from error
     topics = {topic: rows for topic, rows in topics.items() if len(rows) > 1}
     if not topics:
         raise RecordingError(f"{path}: no topic with numbers in it" + ("; " + "; ".join(remarks) if remarks else ""))
     return _joined(path, topics, remarks)
+
+
+def _check_chunks(path: Path) -> None:
+    """Unpack each chunk within its allowance, which mcap's reader does not have. Raises RecordingError."""
+    with path.open("rb") as file:
+        scanner = Scanner(file, str(path))
+        for record in scanner:
+            if record.opcode == Opcode.CHUNK:
+                scanner.contents(record)
 
 
 def _decoder(channel: Any, schema: Any, factories: tuple[Any, ...]) -> Any:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from ..extras import needs_extra
 from ..recording.errors import RecordingError
+from ..recording.files import regular
 from .source import Source
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 PARQUET_MAGIC = b"PAR1"
 FEATHER_MAGIC = b"ARROW1"
-ZIP_MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
 MATLAB_MAGIC = b"MATLAB"
 OTHERS = {b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a workbook of Excel (XLS)"}
@@ -20,7 +20,7 @@ OTHERS = {b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a wor
 def read_source(path: Path | str) -> Source:
     """Read one file. Raises RecordingError for what cannot be used, OSError for what cannot be opened."""
     path = Path(path)
-    with path.open("rb") as file:
+    with regular(path).open("rb") as file:
         begin = file.read(16)
     if not begin:
         raise RecordingError(f"{path}: the file is empty")
@@ -46,7 +46,7 @@ def _read(path: Path, begin: bytes) -> Source:
         return binary.read_parquet(path)
     if begin.startswith(NPY_MAGIC) or suffix in (".npz", ".npy"):
         return binary.read_npz(path)
-    if begin.startswith(ZIP_MAGIC):
+    if begin.startswith(binary.ZIP_MAGIC):
         raise RecordingError(f"{path}: a ZIP archive or a workbook of Excel: unpack it, or save the sheet as CSV")
     for magic, kind in OTHERS.items():
         if begin.startswith(magic):

@@ -46,6 +46,7 @@ SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative i
 RECOGNISED = (
     TIME_S, POSITION_REV, VELOCITY_RPS, COMMAND_A, CURRENT_A, REFERENCE_RPS, SETPOINT_REV, ENCODER_REV,
 )  # fmt: skip
+MOST_LISTED = 40  # columns in a message
 PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
 SAME = 0.999  # ... of a reference with what follows it
@@ -157,7 +158,9 @@ class _Recogniser:
         return [c for c in self.columns.values() if c.name not in used]
 
     def _refuse(self, what: str, how: str) -> None:
-        listed = ", ".join(repr(name) for name in self.source.columns)
+        names = list(self.source.columns)
+        more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+        listed = ", ".join(map(repr, names[:MOST_LISTED])) + more
         raise RecordingError(f"{self.source.path}: {what} can be seen among the columns {listed}: say it with {how}")
 
     def _refuse_unknown_units(self) -> None:

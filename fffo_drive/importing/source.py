@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ..arrays import Floats
 from ..recording.errors import RecordingError
+from ..recording.files import check_columns
 from .units import split_name
 
 LEAST_ROWS = 2
@@ -66,11 +67,13 @@ def source_of_arrays(
             scalars[name] = float(array.reshape(()))
         elif array.ndim == 2 and min(array.shape) > 1:
             array = array if array.shape[0] >= array.shape[1] else array.T
+            check_columns(path, array.shape[1], f", {name!r}")
             vectors |= {f"{name}_{k + 1}": column.astype(np.float64) for k, column in enumerate(array.T)}
         elif max(array.shape, default=0) == array.size:
             vectors[name] = array.ravel().astype(np.float64)
         else:
             left.append(f"{name!r} has shape {array.shape}")
+    check_columns(path, len(vectors))
     sizes = [column.size for column in vectors.values() if column.size >= LEAST_ROWS]
     if not sizes:
         raise RecordingError(f"{path}: no column of numbers in it" + (": " + "; ".join(left) if left else ""))

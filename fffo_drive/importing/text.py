@@ -11,7 +11,8 @@ import datetime
 import io
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,13 +22,14 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..documents import counted
 from ..recording.errors import RecordingError
-from ..recording.unpack import gunzipped
+from ..recording.files import table_text
 from .evidence import at_stamps
 from .names import measured_wrap
 from .source import Source
 from .units import split_name, time_scale, unit_of
 
 SAMPLE_LINES = 400  # from which the layout is recognised
+SAMPLE_CHARACTERS = 1 << 21  # likewise, where lines are long
 DELIMITERS = ("\t", ";", ",", "|", " ")  # " ": any run of blanks
 MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"}
 WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0}
@@ -62,7 +64,9 @@ class Layout(NamedTuple):
 def read_text(path: Path) -> Source:
     """Read a file of text. Raises RecordingError naming line and column."""
     text = _text_of(path)
-    lines = text.split("\n", SAMPLE_LINES * 4)[: SAMPLE_LINES * 4]
+    lines = text[:SAMPLE_CHARACTERS].split("\n", SAMPLE_LINES * 4)[: SAMPLE_LINES * 4]
+    if len(lines) > 1 and len(text) > SAMPLE_CHARACTERS:
+        del lines[-1]  # it may end in the middle
     layout = _layout(lines, path)
     head = [line.rstrip("\r") for line in lines[: layout.first]]
     scope = _scope_channels(head, layout)
@@ -83,14 +87,7 @@ def read_text(path: Path) -> Source:
 
 
 def _text_of(path: Path) -> str:
-    data = gunzipped(path, path.read_bytes())
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = data.decode("utf-16", "replace")
-    else:
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("latin-1")
+    text = table_text(path)
     if "\0" in text[:4096]:
         raise RecordingError(f"{path}: not a text of numbers, and of no other kind that can be read")
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
@@ -196,14 +193,22 @@ def _names(head: Sequence[str], row: str, layout: Layout) -> tuple[list[str], di
         units[k] = units[k] or unit
         if not name:
             name = "time" if units[k] is not None and time_scale(units[k]) is not None else f"column {k + 1}"
-        names.append(_distinct(name, names))
+        names.append(name)
+    names = _distinct(names)
     return names, {name: unit for name, unit in zip(names, units, strict=True) if unit}, remarks
 
 
-def _distinct(name: str, others: Sequence[str]) -> str:
-    """The name, with a number where others have it too."""
-    count = sum(other == name or other.startswith(f"{name} (") for other in others)
-    return name if not count else f"{name} ({count + 1})"
+def _distinct(names: Iterable[str]) -> list[str]:
+    """The names, with a number where one before has it too."""
+    found: dict[str, None] = {}
+    numbers: Counter[str] = Counter()  # the last that a name was given
+    for name in names:
+        own = name
+        while own in found:
+            numbers[name] += 1
+            own = f"{name} ({numbers[name] + 1})"
+        found[own] = None
+    return list(found)
 
 
 def _heading(line: str, layout: Layout) -> list[str]:
@@ -367,9 +372,7 @@ def _scope_channels(head: Sequence[str], layout: Layout) -> tuple[list[str], dic
     named = [cells for cells in rows if cells and cells[0] == "Name" and len(cells) >= 2]
     if not sampled or not named:
         return None
-    channels: list[str] = []
-    for cell in filter(None, named[-1][1::2]):
-        channels.append(_distinct(cell, channels))
+    channels = _distinct(filter(None, named[-1][1::2]))
     if 2 * len(channels) != layout.cells:
         return None
     unit_row = next((cells for cells in rows if cells and cells[0] == "Unit"), [])

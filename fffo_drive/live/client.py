@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
 
+from ..documents import json_object
 from ..roles import Role, may
 from ..signals import UNITS
 from . import frames
@@ -49,11 +49,9 @@ class LiveClient(Peer):
     def take(self, message: str | bytes) -> None:
         """Carry out one request, a JSON object. Raises DroppedError."""
         try:
-            wanted = json.loads(message) if isinstance(message, str) else None
-        except (ValueError, RecursionError):
-            wanted = None
-        if not isinstance(wanted, dict):
-            raise DroppedError("sent something other than a JSON object")
+            wanted = json_object(message if isinstance(message, str) else b"")
+        except ValueError:
+            raise DroppedError("sent something other than a JSON object") from None
         what = wanted.get("do")
         if what == "token":
             self._check_key(wanted.get("token"))

@@ -13,6 +13,8 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from ..documents import json_object
+
 SUBPROTOCOL = "foxglove.sdk.v1"
 MESSAGE_DATA, SERVICE_CALL_RESPONSE = 1, 3  # opcodes of the server
 SERVICE_CALL_REQUEST = 2  # of the client
@@ -140,10 +142,10 @@ def parse(message: str | bytes) -> Asked:
 
 def _operation(text: str) -> Asked:
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        raise ProtocolError("no JSON") from None
-    operation = content.get("op") if isinstance(content, dict) else None
+        content = json_object(text)
+    except ValueError:
+        raise ProtocolError("no JSON object") from None
+    operation = content.get("op")
     if not isinstance(operation, str):
         raise ProtocolError("not a JSON object with an `op`")
     if operation == "subscribe":

@@ -15,7 +15,6 @@ from collections.abc import Awaitable, Callable
 from functools import partial
 from http import HTTPStatus
 from typing import Any, cast
-from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -24,6 +23,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from ..config.address import Address
+from .http_rules import TEXT, headers, target_of
 from .keys import Keys
 
 AT_THE_DOOR = 64  # connections without a request; one more drops the oldest
@@ -75,7 +75,8 @@ class Listener:
 
     def _process(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._judge(request)
-        asker = self._keys.asker(next(iter(parse_qs(urlsplit(request.path).query).get("key", ())), ""))
+        target = target_of(request.path)
+        asker = self._keys.asker(next(iter(target.query.get("key", ())), "")) if target else None
         with_key = asker is not None and asker.role != "look"
         if response is None and not self._has_place(with_key):
             response = answer(HTTPStatus.SERVICE_UNAVAILABLE, f"{self._places} are connected already\n")
@@ -148,6 +149,6 @@ class _Connection(ServerConnection):
 def answer(status: HTTPStatus, text: str, more: dict[str, str] | None = None) -> Response:
     """A response of HTTP, after which the connection is closed."""
     body = text.encode()
-    given = more or {"Content-Type": "text/plain; charset=utf-8", "X-Content-Type-Options": "nosniff"}
+    given = more or headers(TEXT)
     head = Headers([*given.items(), ("Content-Length", str(len(body))), ("Connection", "close")])
     return Response(status.value, status.phrase, head, body)

@@ -1,15 +1,14 @@
-"""The scope page: one self-contained HTML text, and the headers that enforce it."""
+"""The scope page: one self-contained HTML text, and what it may do."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from ..report import palette
 from ..report.page import ASSETS as REPORT_ASSETS
+from .http_rules import own_page
 
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = (
@@ -51,26 +50,7 @@ def page() -> str:
 
 
 @cache
-def headers() -> dict[str, str]:
-    """Only scripts and styles of the page itself run, no other page may frame it, and it connects to this server
-    only.
-    """
+def allowed() -> str:
+    """What it may do (`http_rules`)."""
     _, style, script = read_page(ASSETS, "scope", SCRIPTS)
-    policy = (
-        f"default-src 'none'; script-src {source_hash(script)}; style-src {source_hash(style)}; "
-        "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )
-    return {
-        "Content-Type": "text/html; charset=utf-8",
-        "Content-Security-Policy": policy,
-        "Cross-Origin-Opener-Policy": "same-origin",
-        "Referrer-Policy": "no-referrer",
-        "X-Content-Type-Options": "nosniff",
-        "X-Frame-Options": "DENY",
-        "Cache-Control": "no-store",
-    }
-
-
-def source_hash(text: str) -> str:
-    """The hash by which a Content-Security-Policy allows a script or style."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+    return own_page(style, script)

@@ -7,13 +7,13 @@ origin nor user, so any page in a browser on this machine could call them. The d
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import Enum
 from typing import Any, NamedTuple, Protocol
 
 from pydantic import BaseModel, ValidationError
 
-from ..documents import wrong_parameters
+from ..documents import json_object, wrong_parameters
 from ..roles import Role, may
 from .foxglove_protocol import AdvertisedService
 from .keys import Keys
@@ -127,20 +127,6 @@ def _schema(method: ServiceMethod) -> dict[str, Any]:
 def _given(payload: bytes) -> dict[str, Any]:
     """The parameters in a request; an empty request has none."""
     try:
-        given = json.loads(payload or b"{}", parse_constant=_no_constant, object_pairs_hook=_once)
-    except (ValueError, RecursionError):
-        given = None
-    if not isinstance(given, dict):
-        raise RefusedCallError("a request is one JSON object that gives each parameter at most once")
-    return given
-
-
-def _no_constant(name: str) -> Any:
-    raise ValueError(name)
-
-
-def _once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) != len(pairs):
-        raise ValueError("given twice")
-    return content
+        return json_object(payload or b"{}")
+    except ValueError:
+        raise RefusedCallError("a request is one JSON object that gives each parameter at most once") from None

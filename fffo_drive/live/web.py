@@ -7,14 +7,14 @@ its key decides the rest.
 from __future__ import annotations
 
 from http import HTTPStatus
-from urllib.parse import urlsplit
 
 from websockets.http11 import Request, Response
 
 from ..config.address import Address
+from .http_rules import HTML, headers, is_one_of, target_of
 from .hub import Hub
 from .listener import Listener, answer
-from .page import headers, page
+from .page import allowed, page
 
 PATH = "/live"
 PAGES = 8
@@ -38,13 +38,15 @@ class Web:
     def _judge(self, request: Request) -> Response | None:
         """None for the WebSocket, else the page, or a refusal."""
         names = self._listener.address.names
-        if request.headers.get_all("Host") not in [[name] for name in names]:
+        if not is_one_of(request.headers.get_all("Host"), names):
             return answer(HTTPStatus.MISDIRECTED_REQUEST, f"this is http://{names[0]}/\n")
-        path = urlsplit(request.path).path
-        if path == "/":
-            return answer(HTTPStatus.OK, page(), headers())
-        if path != PATH:
+        target = target_of(request.path)
+        if target is None:
+            return answer(HTTPStatus.BAD_REQUEST, "no address that a browser sends\n")
+        if target.path == "/":
+            return answer(HTTPStatus.OK, page(), headers(HTML, allowed()))
+        if target.path != PATH:
             return answer(HTTPStatus.NOT_FOUND, "not here\n")
-        if request.headers.get_all("Origin") not in [[f"http://{name}"] for name in names]:
+        if not is_one_of(request.headers.get_all("Origin"), names, "http://"):
             return answer(HTTPStatus.FORBIDDEN, "not from this page\n")
         return None

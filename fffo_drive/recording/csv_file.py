@@ -14,7 +14,7 @@ import numpy as np
 
 from ..documents import did_you_mean
 from .errors import RecordingError
-from .unpack import gunzipped
+from .files import table_text
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -31,7 +31,7 @@ class CsvFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        text = _read_text(path)
+        text = table_text(path)
         header, position, self._first_line = _find_header(text, path)
         self._delimiter = _delimiter(header)
         self.names = [cell.strip().strip("\"'").strip() for cell in header.split(self._delimiter)]
@@ -101,10 +101,6 @@ class CsvFile:
             if index == row:
                 return f"line {number}"
         return f"row {row + 1}"
-
-
-def _read_text(path: Path) -> str:
-    return gunzipped(path, path.read_bytes()).decode("utf-8-sig", "replace")
 
 
 def _find_header(text: str, path: Path) -> tuple[str, int, int]:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from ..documents import as_json
+from ..documents import as_json, json_object
 from ..units import NS_PER_S
 from .cdr import Field, decode, encode, schema_of
 
@@ -86,14 +86,3 @@ def decode_event(payload: bytes) -> Event:
 def json_text(data: Mapping[str, Any]) -> str:
     """A JSON object; what JSON cannot say becomes text."""
     return json.dumps(as_json(data, not_finite=str), allow_nan=False)
-
-
-def json_object(text: str) -> dict[str, Any]:
-    """The inverse of `json_text`; raises ValueError for anything but an object."""
-    try:
-        data = json.loads(text)
-    except RecursionError:
-        raise ValueError("data that is nested too deeply") from None
-    if not isinstance(data, dict):
-        raise ValueError("data that is no JSON object")
-    return data

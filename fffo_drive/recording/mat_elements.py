@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .errors import RecordingError
+from .files import regular
 from .unpack import Allowance, inflated
 
 HEADER_BYTES = 128
@@ -44,7 +45,7 @@ class _Element(NamedTuple):
 
 def unpacked(path: Path) -> bytes:
     """The file with no compressed variable in it; one of version 4, which has none, as it is. Raises RecordingError."""
-    data = path.read_bytes()
+    data = regular(path).read_bytes()
     byte_order = {b"IM": "<", b"MI": ">"}.get(data[HEADER_BYTES - 2 : HEADER_BYTES])
     if byte_order is None or 0 in data[:4]:  # version 4 begins with a small number
         return data

@@ -19,6 +19,7 @@ from ..signals import ROW, SIGNALS, UNITS
 from ..units import NS_PER_S
 from .errors import RecordingError
 from .events import Event, decode_event
+from .files import regular
 from .run_records import RECORD_TOPIC, RECORD_TYPE, RecordKind, RunRecord, decode_record
 from .scan import (
     HEAD_SIZE,
@@ -163,7 +164,7 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     opened.
     """
     collector = _Collector(Path(path), topic)
-    with Path(path).open("rb") as file:
+    with regular(Path(path)).open("rb") as file:
         scanner = Scanner(file, str(path))
         for record in scanner:
             try:
@@ -189,7 +190,7 @@ def read_head(path: Path | str) -> RunHead:
     """
     header: dict[str, str] = {}
     attachments: dict[str, Attachment] = {}
-    with Path(path).open("rb") as file, contextlib.suppress(DamagedRecordError):
+    with regular(Path(path)).open("rb") as file, contextlib.suppress(DamagedRecordError):
         for record in Scanner(file, str(path)):
             if record.opcode == Opcode.METADATA:
                 metadata = parse(Metadata.read, record.body)

@@ -14,6 +14,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from .container import ChunkBuilder, McapFile
 from .errors import RecordingError
+from .files import regular
 from .scan import (
     HEAD_SIZE,
     DamagedRecordError,
@@ -58,7 +59,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
             raise FileExistsError(
                 errno.EEXIST, "a file of this name exists and is not overwritten: give another name", str(taken)
             )
-    with source.open("rb") as file:
+    with regular(source).open("rb") as file:
         scanner = Scanner(file, str(source))
         rescue = _Rescue(source, part)
         try:

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from ..documents import json_object
 from .cdr import Field, decode, encode, schema_of
-from .events import json_object, json_text
+from .events import json_text
 
 RECORD_TOPIC = "/fffo_drive/records"
 RECORD_TYPE = "fffo_drive_msgs/msg/Record"

@@ -23,13 +23,18 @@ GZIP_WINDOW_BITS = 31  # of zlib: the largest window, with the head of gzip
 class Allowance:
     """What one file may unpack to."""
 
-    def __init__(self, path: Path | str, size_bytes: int) -> None:
+    def __init__(self, path: Path | str, size_bytes: int, largest_bytes: int | None = None) -> None:
+        """`size_bytes`: of the file; `largest_bytes`: whatever its size."""
         self._path = path
-        self._whole = self._left = FREE_BYTES + LARGEST_RATIO * size_bytes
+        self._whole = FREE_BYTES + LARGEST_RATIO * size_bytes
+        self._largest = largest_bytes if largest_bytes is not None and largest_bytes < self._whole else None
+        self._left = self._whole if self._largest is None else self._largest
 
     def take(self, size_bytes: int) -> None:
         """Count bytes unpacked from the file. Raises RecordingError if there are too many."""
         self._left -= size_bytes
+        if self._left < 0 and self._largest is not None:
+            raise RecordingError(f"{self._path}: unpacks to more than {self._largest} bytes: split it")
         if self._left < 0:
             raise RecordingError(
                 f"{self._path}: unpacks to more than {self._whole} bytes, {LARGEST_RATIO} times its size: no recording "
@@ -37,12 +42,12 @@ class Allowance:
             )
 
 
-def gunzipped(path: Path, data: bytes) -> bytes:
+def gunzipped(path: Path, data: bytes, largest_bytes: int) -> bytes:
     """What a gzip file holds; any other data as they are. Raises RecordingError where it is not whole, or too much."""
     if not data.startswith(GZIP):
         return data
     try:
-        return inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data)))
+        return inflated(data, GZIP_WINDOW_BITS, Allowance(path, len(data), largest_bytes))
     except (EOFError, zlib.error) as error:
         raise RecordingError(f"{path}: the compressed file is not whole") from error
 

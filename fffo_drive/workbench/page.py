@@ -1,11 +1,12 @@
-"""The page of the workbench: one HTML text that asks nobody else for anything, and the headers that keep it so."""
+"""The page of the workbench: one HTML text that asks nobody else for anything, and what it may do."""
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
 
-from ..live.page import read_page, source_hash
+from ..live.http_rules import own_page
+from ..live.page import read_page
 
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = ("plots.js", "workbench.js", "axis.js", "checks.js", "fleet.js")
@@ -17,15 +18,7 @@ def page() -> str:
 
 
 @cache
-def headers() -> dict[str, str]:
-    """Nothing but what is in the page may run in it; frames show our own pages."""
+def allowed() -> str:
+    """What it may do (`http_rules`); frames show our own pages."""
     _, style, script = read_page(ASSETS, "workbench", SCRIPTS)
-    policy = (
-        f"default-src 'none'; script-src {source_hash(script)}; style-src {source_hash(style)}; "
-        "connect-src 'self'; frame-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'"
-    )
-    return {
-        "Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy,
-        "X-Content-Type-Options": "nosniff", "Cross-Origin-Opener-Policy": "same-origin",
-    }  # fmt: skip
+    return own_page(style, script, "frame-src 'self'")

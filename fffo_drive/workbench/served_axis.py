@@ -119,6 +119,7 @@ class ServedAxis:
             with DaemonClient(directory / WATCH, ANSWER_S) as client:
                 info, events = client.call("info"), client.call("events", limit=EVENTS)["events"]
                 yield {"kind": "hello", "page": page.name, "info": info, "events": events}
+                page.heard_s = self._clock()  # now it can answer, however long the daemon took
                 yield {"kind": "status", "status": client.call("status")}
                 client.call("subscribe", status_hz=STATUS_HZ, events=True)
                 while self._clock() - page.heard_s < PRESENCE_S:

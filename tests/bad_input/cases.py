@@ -193,6 +193,7 @@ def somebody_else(bus: str) -> Iterator[None]:
         yield
 
 
+FACTS = added("facts.yaml", "torque_constant_nm_per_a: 0.148\n")
 RUN, RUN_ON_BUS = ("run", AXIS), ("run", BUS_AXIS, "--bus", "BUS", "--uncommissioned")
 
 CASES = (
@@ -518,6 +519,22 @@ CASES = (
     Case(
         "real-time properties that the system refuses", RUN_ON_BUS, 77, (r"CPU 4095 for the loop: .*allowed here: \[",),
         added(BUS_AXIS, "realtime: {cpu: 4095, priority: 0, lock_memory: false}\n"), (node(),),
+    ),
+    # a log of somebody else
+    Case(
+        "a log of 200,000 columns", ("import", "log.csv", "--yes", "--out", "out"), 78,
+        (r"log\.csv, line 2: 200000 columns; at most 4096 can be read: is it a log",),
+        added("log.csv", "# turned by 90 degrees\n" + "1.5," * 199_999 + "1.5\n"),
+    ),
+    Case(
+        "a log with a line of 300 kB", ("identify", "log.csv", "--drive", "facts.yaml", "--out", "out"), 78,
+        (r"log\.csv, line 3: a line of 300000 bytes; a table has at most 262144 in one",),
+        both(added("log.csv", "time_s,velocity_rps\n0,1\n" + "1" * 300_000 + "\n"), FACTS),
+    ),
+    Case(
+        "a log of brackets", ("import", "log.json", "--yes", "--out", "out"), 78,
+        (r"log\.json: not readable as JSON: nested too deeply",),
+        added("log.json", "[" * 60_000),
     ),
     # usage
     Case("unknown option", (*RUN, "--bass", "BUS"), 2, ("unrecognized arguments: --bass",)),

@@ -128,6 +128,21 @@ def test_a_page_that_says_nothing_is_taken_for_gone(daemon):
     assert list(messages) == []
 
 
+def test_a_page_is_not_gone_because_the_daemon_took_long_to_greet_it(daemon):
+    now_s = [0.0]
+
+    def clock():  # of a machine that has no time for the daemon: each look at it is a minute later
+        now_s[0] += 60.0
+        return now_s[0]
+
+    axis = ServedAxis(clock)
+    messages = axis.messages(daemon.sockets)
+    page = axis._pages[next(messages)["page"]]
+    assert next(messages)["kind"] == "status"
+    assert page.heard_s == now_s[0] == 120.0, "its time begins when it was greeted"
+    messages.close()
+
+
 def test_so_many_pages_look_and_no_more_so_that_a_stop_finds_a_connection(daemon):
     axis = ServedAxis(lambda: 0.0)
     looking = [axis.messages(daemon.sockets) for _ in range(PAGES)]

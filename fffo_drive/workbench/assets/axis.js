@@ -65,10 +65,6 @@
   }
 
   function hear(message) {
-    if (performance.now() - axis.hereMs > HERE_MS) { // on what comes, not by a timer: a hidden page's timers may sleep for minutes
-      axis.hereMs = performance.now();
-      if (axis.page) send("here", { page: axis.page }).catch(() => {});
-    }
     if (message.kind === "hello") {
       axis.page = message.page;
       $("axis-events").replaceChildren();
@@ -77,6 +73,10 @@
     } else if (message.kind === "status") status(message.status);
     else if (message.kind === "event") event(message.event);
     else if (message.kind === "info") info(message.info);
+    if (message.kind === "hello" || performance.now() - axis.hereMs > HERE_MS) { // on what comes, not by a timer: a hidden page's timers may sleep for minutes
+      axis.hereMs = performance.now();
+      if (axis.page) send("here", { page: axis.page }).catch(() => {});
+    }
   }
 
   function status(s) {
