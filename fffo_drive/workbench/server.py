@@ -230,13 +230,15 @@ class _Handler(BaseHTTPRequestHandler):
         if body is None:
             return
         try:
-            self._json(HTTPStatus.OK, self._do(asker, rest, body))
+            done = self._do(asker, rest, body)
         except ForbiddenError as error:
             self._json(HTTPStatus.FORBIDDEN, {"error": str(error)})
         except BusyError as error:
             self._json(HTTPStatus.CONFLICT, {"error": str(error)})
         except (DocumentError, OSError) as error:
             self._json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+        else:
+            self._json(HTTPStatus.OK, done)
 
     def _body(self, largest: int) -> bytes | None:
         """What was sent with the head; None where it cannot be taken, which was answered."""
