@@ -43,6 +43,8 @@ class DocumentError(Exception):
     """A file that cannot be used: one line for each error, FILE:LINE: KEY: what is wrong, what is allowed."""
 
 
+WHOLE_FILE = "(file)"  # in place of a key, where what is wrong is in none
+
 Confidence = Literal["certain", "probable", "cannot tell"]  # of what a page or a report says
 
 
@@ -346,7 +348,7 @@ def what_is_wrong(error: ErrorDetails, record: type[BaseModel], data: Any) -> st
 
 def key_of(error: ErrorDetails, data: Any) -> str:
     """The dotted key in `data` that an error of pydantic's is about."""
-    return ".".join(map(str, _keys_only(error, data))) or "(file)"
+    return ".".join(map(str, _keys_only(error, data))) or WHOLE_FILE
 
 
 def wrong_parameters(error: ValidationError, record: type[BaseModel], given: Any) -> list[str]:
@@ -354,7 +356,7 @@ def wrong_parameters(error: ValidationError, record: type[BaseModel], given: Any
     found = error.errors()
     # a name or an object: of an object, only what is wrong as one
     found = [e for e in found if e["type"] != "string_type" or not isinstance(e["input"], dict)] or found
-    texts = (f"{key_of(e, given)}: {what_is_wrong(e, record, given)}" for e in found)
+    texts = (f"{key_of(e, given)}: {what_is_wrong(e, record, given)}".removeprefix(f"{WHOLE_FILE}: ") for e in found)
     return list(dict.fromkeys(text.replace("unknown key", "unknown parameter") for text in texts))
 
 

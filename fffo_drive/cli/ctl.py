@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -20,12 +22,12 @@ from pydantic.fields import FieldInfo
 
 from ..daemon import rpc
 from ..daemon.client import CallError, ClientError, DaemonClient
-from ..daemon.parameters import DEFAULT_PROFILE, METHODS, Method
+from ..daemon.parameters import DEFAULT_PROFILE, METHODS, Method, Motion
 from ..daemon.serving import find_socket
 from ..documents import DocumentError, parse, read_text, sentence
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_UNAVAILABLE
 
-RENEWED_SHARE = 0.25  # of the time within which a jog has to be renewed
+RENEWED_SHARE = 0.25  # of the time within which a set point has to be renewed
 BAD_INPUT = (rpc.BAD_DOCUMENT, rpc.INVALID_PARAMS, rpc.METHOD_NOT_FOUND, rpc.INVALID_REQUEST, rpc.PARSE_ERROR)
 
 
@@ -65,14 +67,15 @@ def _add_parameter(command: argparse.ArgumentParser, name: str, info: FieldInfo)
         command.add_argument(f"--{name.replace('_', '-')}", action="store_true", dest=name, help=text)
     elif name != "name":
         flag = f"--{name.replace('_', '-')}"
-        kind_of = float if info.annotation is float else str if info.annotation == str | None else int
+        kinds = get_args(info.annotation) or (info.annotation,)
+        kind_of = next((kind for kind in (float, str) if kind in kinds), int)
         command.add_argument(
             flag,
             dest=name,
             type=kind_of,
             default=None,
             metavar="NAME" if kind_of is str else "N",
-            help=text if info.default is None else f"{text} ({info.default})",
+            help=text if info.default is None else f"{text} ({info.default:g})",
         )
 
 
@@ -88,14 +91,16 @@ def execute(options: argparse.Namespace) -> int:
         params = _parameters(method, options)
         path = find_socket(options.axis, options.sockets, method.watching)
         with DaemonClient(path) as client:
-            result = client.call(name, **params)
-            _print(name, result, options.json)
+            # what somebody types is a deliberate act; what repeats it below keeps to its epoch
+            act = client.act if issubclass(method.parameters, Motion) else client.call
+            result = act(name, **params)
+            _print(name, params, result, options.json)
             if name == "subscribe":
                 _follow(client, options.json)
             if name == "enable" and params.get("hold"):
-                _hold(client)
-            if name == "jog" and result["to_rps"] != 0:
-                _keep_jogging(client, result)
+                return _hold(client)
+            if result.get("renew_within_s"):
+                _keep_turning(client, name, params, result)
         return 0
     except ClientError as error:
         print(f"fffo-drive ctl: {error}", file=sys.stderr)
@@ -103,7 +108,7 @@ def execute(options: argparse.Namespace) -> int:
     except CallError as error:
         if options.json:
             print(json.dumps({"error": {"code": error.code, "message": str(error), "data": error.data}}))
-        print(f"fffo-drive ctl: {options.method}: {error}", file=sys.stderr)
+        print(f"fffo-drive ctl: {options.method}: {str(error).removeprefix(f'{name}: ')}", file=sys.stderr)
         return EXIT_BAD_INPUT if error.code in BAD_INPUT else EXIT_DRIVE_FAULT
 
 
@@ -144,9 +149,10 @@ def _number(given: str) -> float | bool:
         raise DocumentError(f"set: {given!r} is no number, and neither true nor false") from None
 
 
-def _follow(client: DaemonClient, as_json: bool) -> None:
-    """Print what comes until the daemon or the user ends it."""
-    while True:
+def _follow(client: DaemonClient, as_json: bool, ends: Callable[[dict[str, Any]], bool] = lambda _: False) -> None:
+    """Print what comes until the daemon, the user or a message ends it."""
+    message: dict[str, Any] = {}
+    while not ends(message):
         message = client.next_notification()
         if as_json:
             print(json.dumps(message), flush=True)
@@ -156,30 +162,39 @@ def _follow(client: DaemonClient, as_json: bool) -> None:
             print(_status_line(message["params"]), flush=True)
 
 
-def _hold(client: DaemonClient) -> None:
-    """Stay connected; leaving is what the daemon reacts to."""
+def _hold(client: DaemonClient) -> int:
+    """Stay connected, and be heard; leaving is what the daemon reacts to."""
     print("holding the axis; Ctrl-C releases it (daemon.client_loss)", file=sys.stderr, flush=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     client.call("subscribe", events=True, status_hz=0)
-    _follow(client, False)
+
+    def lost(message: dict[str, Any]) -> bool:  # frozen, and heard again too late
+        event = message.get("params", {})
+        return bool(event.get("kind") == "client" and event["data"].get("client_pid") == os.getpid())
+
+    _follow(client, False, lost)
+    return EXIT_DRIVE_FAULT
 
 
-def _keep_jogging(client: DaemonClient, jog: dict[str, Any]) -> None:
-    """Renew it in time until Ctrl-C, then end it. Raises CallError when a stop or another set point ends it."""
-    print("jogging; Ctrl-C ends at standstill", file=sys.stderr, flush=True)
+def _keep_turning(client: DaemonClient, method: str, params: dict[str, Any], answer: dict[str, Any]) -> None:
+    """Renew a set point in time until Ctrl-C, then end it. Raises CallError when a stop or another set point ends it.
+
+    It names the epoch in which it began: nobody types anything here that would move the axis after a stop.
+    """
+    print("turning as long as this runs; Ctrl-C ends at standstill", file=sys.stderr, flush=True)
     ended = threading.Event()
     before = {number: signal.signal(number, lambda *_: ended.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        to_rps = jog["to_rps"]
-        while not ended.wait(RENEWED_SHARE * jog["renew_within_s"]):
-            jog = client.call("jog", to_rps=to_rps, renews=jog["set_point"], epoch=jog["epoch"])
-        client.call("jog", to_rps=0, renews=jog["set_point"], epoch=jog["epoch"])
+        named = {**params, "epoch": answer["epoch"]}
+        while not ended.wait(RENEWED_SHARE * answer["renew_within_s"]):
+            answer = client.call(method, **named, renews=answer["set_point"])
+        client.call("jog", to_rps=0, renews=answer["set_point"], epoch=answer["epoch"])
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-def _print(name: str, result: Any, as_json: bool) -> None:
+def _print(name: str, params: dict[str, Any], result: Any, as_json: bool) -> None:
     if as_json:
         print(json.dumps(result, indent=2), flush=True)
     elif name == "status":
@@ -188,8 +203,20 @@ def _print(name: str, result: Any, as_json: bool) -> None:
         print("\n".join(_event_line(event) for event in result["events"]), flush=True)
     elif name in ("info", "schema"):
         print(_plain(result), flush=True)
+    elif "at_rest" in result:
+        print(_stop_text(result, params.get("wait_s") != 0), flush=True)
     else:
         print(", ".join(f"{key}: {_short(value)}" for key, value in result.items()), flush=True)
+
+
+def _stop_text(result: dict[str, Any], awaited: bool) -> str:
+    """What is seen of a stop."""
+    if result["velocity_rps"] is None:
+        seen = "no drive answers, so nothing is measured"
+    else:
+        seen = f"{'at rest' if result['at_rest'] else 'not at rest'}, {result['velocity_rps']:.3g} rps measured"
+    taken = "" if awaited or result["reached"] else "taken, its end was not awaited: "
+    return f"{taken}{seen}; state: {result['state']}, epoch: {result['epoch']}"
 
 
 def _status_text(status: dict[str, Any]) -> str:
@@ -209,7 +236,7 @@ def _status_text(status: dict[str, Any]) -> str:
         lines.append(f"profile {profile['name']}: sample {profile['sample']} of {profile['samples']}")
     if status.get("set_point"):  # an older daemon has none
         asked = status["set_point"]
-        state = ", not renewed in time: braked" if asked["lapsed"] and asked["kind"] == "jog" else ""
+        state = ", runs on" if asked.get("run_on") and asked["to_rps"] else ""
         state += ", leads out of the position window: braked" if asked["blocked"] else ""
         lines.append(
             f"{asked['kind']}: to {asked['to_rps']:.4g} rps (set point {asked['number']}){state}; a set point acts "
@@ -230,6 +257,8 @@ def _status_text(status: dict[str, Any]) -> str:
         lines.append(status["disk"])
     if status["held_by"]:
         lines.append(f"held by {status['held_by']}")
+    if stop := status.get("last_stop"):  # an older daemon tells none
+        lines.append(f"{stop['text']} at {stop['at'][11:19]} UTC (epoch {stop['epoch']})")
     return "\n".join(lines)
 
 

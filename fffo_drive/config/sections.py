@@ -464,10 +464,10 @@ class SetPointSection(StrictRecord):
     ] = None
     acceleration_rps2: Annotated[float, Field(gt=0, le=1e5, description="bound of the reference's acceleration")] = 50.0
     jerk_rps3: Annotated[
-        float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; also for stops and a lapsed jog")
+        float, Field(gt=0, le=1e8, description="bound of its jerk, rps/s^2; also for stops and a lapsed lease")
     ] = 1000.0
     jog_timeout_s: Annotated[
-        float, Field(ge=0.05, le=10, description="a jog that is not renewed within this time ends at standstill")
+        float, Field(ge=0.05, le=10, description="a jog or set point not renewed within this time ends at standstill")
     ] = 0.5
     window_margin_rev: Annotated[
         float,
@@ -495,6 +495,10 @@ class DaemonSection(StrictRecord):
         Literal["stop", "quick_stop", "go_on"],
         Field(description="reaction when the connection of the client in charge ends"),
     ] = "stop"
+    client_silence_s: Annotated[
+        float,
+        Field(ge=0.2, le=60, description="a client in charge that sends nothing for this long is taken for lost"),
+    ] = 1.0
     stop_rps2: Annotated[float, Field(gt=0, le=1e5, description="deceleration of a controlled stop")] = 100.0
     set_points: Annotated[SetPointSection, Field(description="limits of live set points and jogs")] = SetPointSection()
     enable_timeout_s: Annotated[float, Field(gt=0, le=60, description="from the request to Operation Enabled")] = 5.0

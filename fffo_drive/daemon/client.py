@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from ..can.lease import bus_holders
+
+SIGN_OF_LIFE_S = 0.2  # between two of a client in charge (enable with hold), which daemon.client_silence_s waits for
 
 
 class ClientError(Exception):
@@ -34,6 +37,9 @@ class DaemonClient:
         self._buffer = b""
         self._number = 0
         self.notifications: list[dict[str, Any]] = []
+        self._in_charge = False  # it has asked for that, and has to be heard
+        self._sent_s = 0.0
+        self._patience_s = timeout_s  # for the next message
         self._socket.settimeout(timeout_s)
         try:
             self._socket.connect(str(path))
@@ -44,10 +50,11 @@ class DaemonClient:
     def call(self, method: str, **params: Any) -> Any:
         """Call and wait for the result. Raises CallError, ClientError. Notifications meanwhile are kept."""
         self._number += 1
+        self._in_charge = self._in_charge or bool(method == "enable" and params.get("hold"))
         request = {"jsonrpc": "2.0", "id": self._number, "method": method, "params": params}
         self.send_line(json.dumps(request).encode())
         waits_s = float(params.get("wait_s") or 0.0)
-        self._socket.settimeout(None if self._timeout_s is None else self._timeout_s + waits_s)
+        self._patience_s = None if self._timeout_s is None else self._timeout_s + waits_s
         while True:
             message = self.read()
             if "method" in message:
@@ -58,26 +65,42 @@ class DaemonClient:
                     raise CallError(error["code"], error["message"], error.get("data"))
                 return message["result"]
 
+    def act(self, method: str, **params: Any) -> Any:
+        """Call as the deliberate act of a person: torque or motion in the epoch that is now.
+
+        Not for what is repeated: a stream or a renewal keeps to the epoch in which it began, or no stop would end it.
+        """
+        return self.call(method, **{"epoch": self.call("status")["epoch"], **params})
+
     def next_notification(self, timeout_s: float | None = None) -> dict[str, Any]:
         """The next notification, in order. Raises ClientError if none arrives in time or the daemon ends."""
         if self.notifications:
             return self.notifications.pop(0)
-        self._socket.settimeout(timeout_s)
+        self._patience_s = timeout_s
         return self.read()
 
     def send_line(self, line: bytes) -> None:
         """Send raw bytes and a line break."""
+        self._sent_s = time.monotonic()
         try:
             self._socket.sendall(line + b"\n")
         except OSError as error:
             raise ClientError(f"{self.path}: the daemon went away: {error.strerror}") from error
 
     def read(self) -> dict[str, Any]:
-        """The next message of any kind."""
-        while b"\n" not in self._buffer:
+        """The next message of any kind. While it waits, a client in charge gives signs of life."""
+        begun_s = time.monotonic()
+        while True:
+            if self._in_charge and time.monotonic() - self._sent_s >= SIGN_OF_LIFE_S:
+                self.send_line(b"")
+            if b"\n" in self._buffer:
+                break
             try:
+                self._socket.settimeout(SIGN_OF_LIFE_S if self._in_charge else self._patience_s)
                 data = self._socket.recv(65536)
             except TimeoutError:
+                if self._in_charge and (self._patience_s is None or time.monotonic() - begun_s < self._patience_s):
+                    continue
                 raise ClientError(f"{self.path}: no answer in time") from None
             except OSError as error:
                 raise ClientError(f"{self.path}: the daemon went away: {error.strerror}") from error

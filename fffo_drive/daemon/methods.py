@@ -4,23 +4,28 @@ Newline-delimited JSON-RPC 2.0 on `control.sock` (0660, `daemon.control_group`) 
 `watch.sock`. Parameters are objects with names (`parameters.py`). Answers of the methods:
 
 info        protocol, version, axis, file, rate_hz, drive (identity), realtime, profiles, keys (of `set`), states
-status      state, state_s, epoch, obstacles, fault {name, text, tick}, toggle, model {name, hash}, effects {monitor,
-            list of {name, in_service, reason}}, profile {name, sample, samples, duration_s}, set_point {kind, number,
-            to_rps, hold_s, lapsed, blocked, latency_s}, recording {on, wanted, file, finished, rows_*, write_errors,
-            trouble}, disk (which does not answer to what), last_event, loop {connection, running, tick, rows, late,
-            skipped, missing_feedback, stale_blocks, trip, exchange}, drive {name, statusword, state, emergency_code,
-            nmt_state}, motion {velocity_rps, position_rev, current_a, current_command_a, reference_rps, error_rps,
-            friction_nm, mode, age}; null where there is none
-enable, disable, start, stop, quick_stop, reset_fault
-            {"state": ..., "reached": true, "epoch": ...}; error -32004 if the state is not reached within wait_s. A
-            stop succeeds in every state and reports the state: in a fault the axis may coast. Once it is acknowledged,
-            a start or enable that was sent before it is refused: each is bound to the epoch in which it arrived, or to
-            the one given by its parameter `epoch`
+status      state, state_s, epoch, last_stop {who, at, kind, text, epoch}, held_by, obstacles, fault {name, text, tick},
+            toggle, model {name, hash}, effects {monitor, list of {name, in_service, reason}}, profile {name, sample,
+            samples, duration_s}, set_point {kind, number, to_rps, hold_s, run_on, lapsed, blocked, latency_s},
+            recording {on, wanted, file, finished, rows_*, write_errors, trouble}, disk (which does not answer to
+            what), last_event, loop {connection, running, tick, rows, late, skipped, missing_feedback, stale_blocks,
+            trip, exchange}, drive {name, statusword, state, emergency_code, nmt_state}, motion {velocity_rps,
+            position_rev, current_a, current_command_a, reference_rps, error_rps, friction_nm, mode, age}; null where
+            there is none
+enable, start, reset_fault
+            {"state": ..., "reached": true, "epoch": ...}; error -32004 if the state is not reached within wait_s
+stop, disable, quick_stop
+            {"state": ..., "reached": ..., "epoch": ..., "velocity_rps": measured, "at_rest": ...}: what is seen when it
+            is answered; both null while nothing is measured. Accepted in every state. With wait_s the answer comes once
+            the axis is at rest by measurement (or without torque, where nothing is measured), or as error -32004. With
+            wait_s 0 it comes at once, and `reached` is true only for an axis at rest. A stop latches, see below
 jog, velocity, step
             {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
             "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of
-            daemon.set_points. Bound to an epoch, as a start is. A jog that is not renewed in time ends at standstill,
-            and so does a motion that would leave envelope.position_window_rev
+            daemon.set_points. A set point lives on a lease: it goes on if the request is repeated within renew_within_s
+            in the same epoch with `renews`, its number. If not, the axis is braked to standstill, which counts as a
+            stop by its client. With `for_s` it ends by itself, with `run_on` it needs no client. A motion that would
+            leave envelope.position_window_rev ends at standstill
 toggle, model, set, reload
             the values now in use
 record      {"on": ..., "file": ..., "files": [...]}
@@ -28,8 +33,20 @@ events      {"events": [{number, time, kind, level, text, data}, ...], "last": n
 subscribe   {"status_hz": ..., "events": ...}; then notifications `status` (as above) and `event` on this connection
 schema      JSON schemas of all parameters
 
-Error codes: -32000 not possible in this state (data: state, allowed), -32001 this socket is read-only, -32002 error of
-the drive, -32003 a profile, model, key or file that cannot be used, -32004 not reached in time, -32005 a limit.
+A stop latches. Whatever ends or withdraws motion begins an epoch: stop, disable, quick_stop, a lapsed lease, a lost or
+silent client in charge, a fault and its reset, and a change of the client in charge. From the first one on, start, jog,
+velocity and step have to name the present epoch. Without it, or with an earlier one, they are refused with the reason:
+error -32000, data.epoch and data.stop (last_stop of the status). So no stream of requests moves the axis after a stop,
+on new connections neither. Read the epoch when a person acts, and keep to it: a client that reads it anew by itself
+takes away what it is for. An enable without epoch is bound to the one in which it arrived. Once a stop is acknowledged,
+what was sent before is refused. Epochs do not repeat when the daemon is started again.
+
+The client in charge (enable with hold) has to be heard: one that sends nothing for daemon.client_silence_s is treated
+as one that has closed its connection. An empty line is enough.
+
+Error codes: -32000 not possible in this state (data: state, allowed, epoch, stop), -32001 this socket is read-only,
+-32002 error of the drive, -32003 a profile, model, key or file that cannot be used, -32004 not reached in time, -32005
+a limit.
 """
 
 from __future__ import annotations
@@ -52,7 +69,7 @@ from .record_keeper import Sources
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
 from .states import AT_REST, WANTING_TORQUE, Change, RefusedError, State, StateEvent, require_change
 from .status import info_of, status_of
-from .supervisor import Supervisor
+from .supervisor import NEVER_S, Supervisor
 from .worker import Worker
 
 
@@ -67,6 +84,11 @@ class Caller(Protocol):
     @property
     def credentials(self) -> dict[str, int]:
         """client_pid, client_uid, client_gid."""
+        ...
+
+    @property
+    def heard_s(self) -> float:
+        """When it sent anything last, monotonic."""
         ...
 
     def subscribe(self, status_hz: float, events: bool) -> None:
@@ -99,6 +121,8 @@ class Api:
     def __init__(self, supervisor: Supervisor) -> None:
         self.supervisor = supervisor
         self.holder: Caller | None = None
+        self._hold_answered_s = NEVER_S  # it has to be heard from then on
+        self._looked_s = 0.0
         self._latest: dict[str, Any] = {}
         self.work = Worker("fffo-work")
         supervisor.changed = self.publish
@@ -118,7 +142,9 @@ class Api:
     @property
     def latest(self) -> dict[str, Any]:
         """The newest status, for any thread, with the present epoch."""
-        return {**self._latest, "epoch": self.supervisor.machine.epoch.value}
+        machine = self.supervisor.machine
+        stop = machine.last_stop
+        return {**self._latest, "epoch": machine.epoch.value, "last_stop": None if stop is None else stop._asdict()}
 
     def publish(self) -> None:
         """Store the present status, with the client in charge."""
@@ -160,13 +186,17 @@ class Api:
             raise RefusedError(f"the axis may not be enabled: {reasons}", supervisor.state, (State.READY,))
         supervisor.apply(StateEvent.ENABLE, wanted.epoch)
         if wanted.hold and self.holder is not caller:
-            self.holder = caller
-            supervisor.machine.epoch.advance()
+            self.holder, self._hold_answered_s = caller, NEVER_S
+            supervisor.apply(StateEvent.CHARGE, who=asker(caller.name, wanted.who))
         self._command(caller, wanted, "enable")
-        return await self._reached(
-            lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled",
-            lambda: supervisor.state not in WANTING_TORQUE,
-        )  # fmt: skip
+        try:
+            return await self._reached(
+                lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled",
+                lambda: supervisor.state not in WANTING_TORQUE,
+            )  # fmt: skip
+        finally:
+            if self.holder is caller:
+                self._hold_answered_s = time.monotonic()
 
     async def disable(self, wanted: p.Ending, caller: Caller) -> Any:
         """Brake to standstill if a profile runs, then no torque."""
@@ -183,7 +213,7 @@ class Api:
     async def reset_fault(self, wanted: p.Ending, caller: Caller) -> Any:
         """Leave a fault; torque needs another enable."""
         supervisor = self.supervisor
-        supervisor.reset_fault()
+        supervisor.reset_fault(asker(caller.name, wanted.who))
         self._command(caller, wanted, "reset_fault")
         return await self._reached(lambda: supervisor.state is State.READY, wanted.wait_s, State.READY.value)
 
@@ -204,45 +234,44 @@ class Api:
 
     async def jog(self, wanted: p.Jog, caller: Caller) -> Any:
         """A velocity for as long as it is renewed."""
-        motion = self.supervisor.motion
-        if wanted.renews is not None and (motion is None or not motion.can_renew(wanted.renews)):
-            text = f"jog {wanted.renews} is over: it lapsed, or another set point or a stop came; jog again"
-            raise RefusedError(text, self.supervisor.state, ())
-        asked = set_points.jog(self.supervisor.plan, wanted.to_rps)
-        return await self._follow(asked, wanted, caller, 0.0)
+        self.supervisor.require_renewable(set_points.JOG, wanted.renews, wanted.epoch)
+        return await self._follow(set_points.jog(self.supervisor.plan, wanted.to_rps), wanted, caller, 0.0)
 
     async def velocity(self, wanted: p.SetVelocity, caller: Caller) -> Any:
-        """A velocity until the next set point."""
-        asked = set_points.velocity(self.supervisor.plan, wanted.to_rps, wanted.for_s)
+        """A velocity: on a lease, for a time, or until the next set point."""
+        self.supervisor.require_renewable(set_points.VELOCITY, wanted.renews, wanted.epoch)
+        asked = set_points.velocity(self.supervisor.plan, wanted.to_rps, wanted.for_s, wanted.run_on)
         return await self._follow(asked, wanted, caller, wanted.wait_s)
 
     async def step(self, wanted: p.Step, caller: Caller) -> Any:
-        """A change of the present set point."""
+        """A change of the present set point, on a lease, for a time, or until the next one."""
+        self.supervisor.require_renewable(set_points.STEP, wanted.renews, wanted.epoch)
         motion = self.supervisor.motion
-        from_rps = 0.0 if motion is None else motion.target_rps
-        asked = set_points.step(self.supervisor.plan, from_rps, wanted.by_rps, wanted.for_s)
+        before, from_rps = (None, 0.0) if motion is None else (motion.asked, motion.target_rps)
+        by_rps = wanted.by_rps if wanted.renews is None else 0.0
+        asked = set_points.step(self.supervisor.plan, before, from_rps, by_rps, wanted.for_s, wanted.run_on)
         return await self._follow(asked, wanted, caller, wanted.wait_s)
 
     async def _follow(
-        self, asked: set_points.AskedSetPoint, wanted: p.Bound, caller: Caller, wait_s: float
+        self, asked: set_points.AskedSetPoint, wanted: p.Motion, caller: Caller, wait_s: float
     ) -> dict[str, Any]:
         supervisor = self.supervisor
         before = None if supervisor.motion is None else supervisor.motion.asked
-        motion = supervisor.follow(asked, wanted.epoch)
+        motion = supervisor.follow(asked, wanted.epoch, asker(caller.name, wanted.who))
         number = motion.set_point_number
         to_rps, hold_ticks = asked.set_point.target_rps, asked.set_point.hold_ticks
-        if asked != before:  # renewals of a jog are not reported
+        if asked != before:  # renewals are not reported
             self._command(caller, wanted, f"{asked.kind} {to_rps:g} rps")
         if wait_s > 0:
             await self._reached(
                 lambda: motion.there(number, to_rps), wait_s, f"{to_rps:g} rps",
                 lambda: supervisor.motion is not motion or motion.set_point_number != number or motion.lapsed,
             )  # fmt: skip
-        renew_s = hold_ticks * supervisor.plan.axis.loop.period_s if asked.kind == set_points.JOG else None
+        renew_s = hold_ticks * supervisor.plan.axis.loop.period_s if asked.leased else None
         return {
             "state": supervisor.state.value, "set_point": number, "to_rps": to_rps,
             "latency_s": set_points.latency_s(supervisor.plan), "renew_within_s": renew_s,
-            "epoch": supervisor.machine.epoch.value,
+            "epoch": wanted.epoch or supervisor.machine.epoch.first,
         }  # fmt: skip
 
     # parameters
@@ -345,13 +374,23 @@ class Api:
     # what they share
 
     async def _end(self, event: StateEvent, wanted: p.Ending, caller: Caller, there: frozenset[State]) -> Any:
-        """In every state: where nothing moves it succeeds and says what is."""
+        """In every state: where nothing moves it succeeds and says what is. With waiting, the axis is at rest then."""
         supervisor = self.supervisor
-        supervisor.apply(event)
+        supervisor.apply(event, who=asker(caller.name, wanted.who))
         self._command(caller, wanted, event.value)
         if event is not StateEvent.STOP:
             self.holder = None
-        return await self._reached(lambda: supervisor.state in there, wanted.wait_s, "standstill")
+
+        def seen() -> dict[str, Any]:
+            shaft = supervisor.shaft
+            # nothing is measured: without torque there is nothing either that could be waited for
+            stands = supervisor.state in AT_REST if shaft is None else shaft.at_rest
+            measured = {"velocity_rps": None, "at_rest": None} if shaft is None else shaft._asdict()
+            return {**self._now(supervisor.state in there and stands), **measured}
+
+        if wanted.wait_s == 0 or await supervisor.reached(lambda: seen()["reached"], wanted.wait_s):
+            return seen()
+        raise await self._not_reached("standstill", "")
 
     async def _reached(
         self, condition: Callable[[], bool], wait_s: float, what: str, hopeless: Callable[[], bool] | None = None
@@ -364,15 +403,20 @@ class Api:
         came = await supervisor.reached(lambda: condition() or no_more(), wait_s)
         if came and condition():
             return self._now(True)
+        raise await self._not_reached(what, supervisor.not_enabled if hopeless is not None else "")
+
+    async def _not_reached(self, what: str, said: str) -> RpcError:
+        supervisor = self.supervisor
         await supervisor.heard_out()
-        said = supervisor.not_enabled if hopeless is not None else ""
         said = supervisor.fault.text if supervisor.fault is not None else said
         reason = f": {said}" if said else ""
         if not reason and supervisor.state in (State.OFFLINE, State.CONNECTED) and supervisor.obstacles:
             reason = f": {supervisor.obstacles[0]}"
-        raise RpcError(
-            NOT_REACHED, f"{what} was not reached, the axis is in state {supervisor.state.value}{reason}",
-            {"state": supervisor.state.value},
+        shaft = supervisor.shaft
+        seen = "" if shaft is None else f" at {shaft.velocity_rps:.3g} rps (measured)"
+        return RpcError(
+            NOT_REACHED, f"{what} was not reached, the axis is in state {supervisor.state.value}{seen}{reason}",
+            {"state": supervisor.state.value, "velocity_rps": None if shaft is None else shaft.velocity_rps},
         )  # fmt: skip
 
     def _now(self, reached: bool) -> dict[str, Any]:
@@ -390,19 +434,29 @@ class Api:
         data = {**caller.credentials, "who": wanted.who} if wanted.who else caller.credentials
         self.supervisor.log.add(kind, f"{text} by {asker(caller.name, wanted.who)}", data=data)
 
+    def look_for_holder(self, now_s: float) -> None:
+        """The client in charge has to be heard: one that is silent for too long is lost. Call periodically."""
+        silence_s = self.supervisor.plan.axis.daemon.client_silence_s
+        if now_s - self._looked_s > 0.5 * silence_s:  # we were silent ourselves: what it sent is still to be read
+            self._hold_answered_s = max(self._hold_answered_s, now_s)
+        self._looked_s = now_s
+        if self.holder is not None and now_s - max(self.holder.heard_s, self._hold_answered_s) > silence_s:
+            self._lose(self.holder, f"the axis is held by {self.holder.name}, which does not answer")
+
     def client_left(self, caller: Caller) -> None:
         """A connection closed. When the axis hung on it, do as daemon.client_loss says."""
-        if caller is not self.holder:
-            return
+        if caller is self.holder:
+            self._lose(caller, f"{caller.name}, who held the axis, is gone")
+
+    def _lose(self, caller: Caller, why: str) -> None:
         self.holder = None
         supervisor = self.supervisor
         reaction = supervisor.plan.axis.daemon.client_loss
         if supervisor.state in AT_REST or reaction == "go_on":
             return
-        supervisor.machine.epoch.advance()
-        text = f"{caller.name}, who held the axis, is gone: {reaction.replace('_', ' ')}"
-        supervisor.log.add("client", text, Level.WARNING, caller.credentials)
-        supervisor.apply(StateEvent.QUICK_STOP if reaction == "quick_stop" else StateEvent.DISABLE)
+        supervisor.log.add("client", f"{why}: {reaction.replace('_', ' ')}", Level.WARNING, caller.credentials)
+        who = f"daemon.client_loss ({why})"
+        supervisor.apply(StateEvent.QUICK_STOP if reaction == "quick_stop" else StateEvent.DISABLE, who=who)
 
 
 def asker(caller: str, who: str | None) -> str:

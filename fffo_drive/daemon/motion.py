@@ -16,7 +16,7 @@ from ..runtime.session import Session
 from ..workflows.plan import Plan
 from .connection import Connection
 from .profiles import STOP, braking_ramp
-from .set_points import JOG, AskedSetPoint, standstill
+from .set_points import AskedSetPoint, standstill
 
 SETTLED_TICKS = 3  # between two profiles handed to the loop: it must have taken the first one
 
@@ -101,9 +101,9 @@ class MotionRequests:
         return row is not None and int(row["set_point_number"]) == number and row["reference_rps"] == velocity_rps
 
     def can_renew(self, number: int) -> bool:
-        """Whether it is the latest jog and still valid."""
-        jogs = self.asked is not None and self.asked.kind == JOG
-        return jogs and number == self.set_point_number and not self.lapsed
+        """Whether it is the latest set point, on a lease that has not ended."""
+        leased = self.asked is not None and self.asked.leased
+        return leased and number == self.set_point_number and not self.lapsed
 
     def drop(self) -> None:
         """The motion ends at once; the law holds zero velocity if there is torque."""

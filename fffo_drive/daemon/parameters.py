@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from ..config.sections import ProfileSection
 from ..documents import DocumentError, StrictRecord
@@ -16,6 +16,8 @@ from ..roles import Role
 PROTOCOLS = (1,)  # supported versions of this API, the newest last
 
 DEFAULT_PROFILE = "default"  # name of the axis file's own `profile:` section
+
+LEAST_FOR_S = 0.01  # of a timed set point
 
 Seconds = Annotated[float, Field(ge=0, le=600)]
 
@@ -54,7 +56,11 @@ class Enable(Bound):
     """Parameters of `enable`."""
 
     hold: Annotated[
-        bool, Field(description="put this connection in charge: daemon.client_loss applies when it closes")
+        bool,
+        Field(
+            description="put this connection in charge: daemon.client_loss applies when it closes, or says nothing for "
+            "daemon.client_silence_s (an empty line is enough)"
+        ),
     ] = False
     wait_s: Annotated[Seconds, Field(description="how long to wait for Operation Enabled; 0: do not wait")] = 10.0
 
@@ -65,7 +71,11 @@ class Ending(Commanded):
     wait_s: Annotated[Seconds, Field(description="how long to wait for completion; 0: do not wait")] = 10.0
 
 
-class Start(Bound):
+class Motion(Bound):
+    """Parameters of requests for motion: from the first stop on, they have to name the epoch."""
+
+
+class Start(Motion):
     """Parameters of `start`."""
 
     profile: Annotated[
@@ -81,34 +91,65 @@ class Start(Bound):
 Velocity = Annotated[float, Field(ge=-1000, le=1000)]
 
 
-class Jog(Bound):
-    """Parameters of `jog`."""
+class Renewed(Motion):
+    """Parameters of requests with a set point that lives on a lease: renewed within daemon.set_points.jog_timeout_s."""
 
-    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends the jog")]
     renews: Annotated[
         int | None,
-        Field(ge=1, description="number of the jog to renew (`set_point` in its answer): refused if it has ended"),
+        Field(ge=1, description="number of the set point to renew (`set_point` in its answer): refused if it is over"),
     ] = None
 
 
-class SetVelocity(Bound):
+class Jog(Renewed):
+    """Parameters of `jog`."""
+
+    to_rps: Annotated[Velocity, Field(description="velocity; 0 ends the jog")]
+
+
+class Leased(Renewed):
+    """Parameters of set points that live on a lease, last for a time, or may run on."""
+
+    for_s: Annotated[
+        float | None,
+        Field(ge=LEAST_FOR_S, le=600, description="duration; without it or run_on the set point has to be renewed"),
+    ] = None
+    run_on: Annotated[
+        bool, Field(description="it may run on until the next set point or stop, also when its client is gone")
+    ] = False
+    wait_s: Annotated[
+        Seconds, Field(description="how long to wait until the reference reaches it (for_s or run_on); 0: do not wait")
+    ] = 0.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if sum((self.renews is not None, self.for_s is not None, self.run_on)) > 1:
+            raise ValueError("give one of renews, for_s and run_on")
+        if self.wait_s > 0 and self.leased:
+            raise ValueError("wait_s needs for_s or run_on: what has to be renewed cannot be waited for")
+        return self
+
+    @property
+    def leased(self) -> bool:
+        """It has to be renewed."""
+        return self.for_s is None and not self.run_on
+
+
+class SetVelocity(Leased):
     """Parameters of `velocity`."""
 
-    to_rps: Annotated[Velocity, Field(description="velocity; 0: standstill")]
-    for_s: Annotated[Seconds, Field(description="duration, then standstill; 0: until the next set point")] = 0.0
-    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference reaches it; 0: do not wait")] = (
-        0.0
-    )
+    to_rps: Annotated[Velocity, Field(description="velocity; 0: standstill. Standstill follows for_s")]
 
 
-class Step(Bound):
+class Step(Leased):
     """Parameters of `step`."""
 
-    by_rps: Annotated[Velocity, Field(description="change of the present velocity set point")]
-    for_s: Annotated[Seconds, Field(description="duration, then back to the value before; 0: permanent")] = 0.0
-    wait_s: Annotated[Seconds, Field(description="how long to wait until the reference reaches it; 0: do not wait")] = (
-        0.0
-    )
+    by_rps: Annotated[
+        Velocity,
+        Field(
+            description="change of the present velocity set point; after for_s back to the one before if that may run "
+            "on, else to standstill. With renews nothing is added again"
+        ),
+    ]
 
 
 class Toggle(Commanded):
@@ -190,8 +231,8 @@ METHODS: dict[str, Method] = {
     "disable": Method(Ending, "stop", "brake to standstill, then no torque"),
     "start": Method(Start, "move", "run a profile"),
     "jog": Method(Jog, "move", "turn at a velocity for as long as the jog is renewed (ctl renews it until Ctrl-C)"),
-    "velocity": Method(SetVelocity, "move", "turn at a velocity, which can be changed at any time"),
-    "step": Method(Step, "move", "change the velocity set point by an amount"),
+    "velocity": Method(SetVelocity, "move", "turn at a velocity: while it is renewed, for a time, or until changed"),
+    "step": Method(Step, "move", "change the velocity set point by an amount; it lives as a velocity does"),
     "toggle": Method(Toggle, "tune", "friction from the reference, from the feedback, or off"),
     "stop": Method(Ending, "stop", "brake to standstill and stay enabled"),
     "quick_stop": Method(Ending, "stop", "the drive's quick stop, then no torque"),

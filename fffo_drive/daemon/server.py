@@ -27,7 +27,7 @@ from . import rpc
 from .clients import ENDING, WAITING_CALLS, Clients
 from .methods import Api, asker
 from .one_client import Client, ReceivedLine
-from .parameters import METHODS, Bound
+from .parameters import METHODS, Bound, Motion
 from .places import CONTROL, WATCH
 from .rpc import Call, RpcError
 from .sockets import CONTROL_MODE, WATCH_MODE, ListeningSocket
@@ -126,6 +126,7 @@ class Server:
         """Publish the present status for reads and subscriptions. Raises the exception that ended the clients'
         thread.
         """
+        self.api.look_for_holder(time.monotonic())
         self.api.publish()
         if self.clients.failure is not None:
             raise self.clients.failure
@@ -245,7 +246,7 @@ class Server:
         except Exception as error:
             answer(rpc.error_of(None, self._as_rpc(error)))
             return
-        if isinstance(wanted, Bound) and wanted.epoch is None:
+        if isinstance(wanted, Bound) and not isinstance(wanted, Motion) and wanted.epoch is None:
             wanted = wanted.model_copy(update={"epoch": epoch})
         asked = _Asked(call, wanted, client, answer)
         if call.method not in ENDING:
@@ -338,8 +339,9 @@ class Server:
         if isinstance(error, RpcError):
             return error
         if isinstance(error, RefusedError):
-            allowed = [state.value for state in error.allowed]
-            return RpcError(rpc.REFUSED, str(error), {"state": error.state.value, "allowed": allowed})
+            now = self.api.latest
+            data = {"state": error.state.value, "allowed": [state.value for state in error.allowed]}
+            return RpcError(rpc.REFUSED, str(error), {**data, "epoch": now["epoch"], "stop": now["last_stop"]})
         if isinstance(error, DocumentError | ValueError):
             return RpcError(rpc.BAD_DOCUMENT, str(error))
         if isinstance(error, DriveError):

@@ -181,7 +181,7 @@ class _Service:
         self._stops += 1
         self._stop.set()
         if self._stops > 1 and self.supervisor.state not in AT_REST:
-            self.supervisor.apply(StateEvent.QUICK_STOP)
+            self.supervisor.apply(StateEvent.QUICK_STOP, who="a signal")
 
     def _on_reload(self) -> None:
         task = asyncio.get_running_loop().create_task(self._reload())

@@ -20,23 +20,43 @@ class AskedSetPoint(NamedTuple):
 
     kind: str  # JOG, VELOCITY, STEP; STOP brakes
     set_point: SetPoint
+    leased: bool = False  # it lives on a lease: it has to be renewed
+
+    @property
+    def runs_on_rps(self) -> float:
+        """What it leads to in the end, if nobody asks for anything else."""
+        return self.set_point.after_rps if self.set_point.hold_ticks else self.set_point.target_rps
 
 
 def jog(plan: Plan, to_rps: float) -> AskedSetPoint:
     """A velocity that is valid as long as it is renewed in time. Raises DocumentError beyond the limit."""
-    found = _set_point(plan, JOG, to_rps, plan.axis.daemon.set_points.jog_timeout_s, 0.0)
+    return _leased(plan, JOG, to_rps)
+
+
+def velocity(plan: Plan, to_rps: float, for_s: float | None, run_on: bool) -> AskedSetPoint:
+    """A velocity as long as it is renewed, for a time, or until the next set point. Raises DocumentError."""
+    if for_s is None and not run_on:
+        return _leased(plan, VELOCITY, to_rps)
+    return _set_point(plan, VELOCITY, to_rps, for_s or 0.0, 0.0)
+
+
+def step(
+    plan: Plan, before: AskedSetPoint | None, from_rps: float, by_rps: float, for_s: float | None, run_on: bool
+) -> AskedSetPoint:
+    """A change of the present set point, as `velocity`. After its time the one before runs on, if it may do so by
+    itself. Raises DocumentError.
+    """
+    to_rps = from_rps + by_rps
+    if for_s is None and not run_on:
+        return _leased(plan, STEP, to_rps)
+    return _set_point(plan, STEP, to_rps, for_s or 0.0, 0.0 if before is None else before.runs_on_rps)
+
+
+def _leased(plan: Plan, kind: str, to_rps: float) -> AskedSetPoint:
+    """Not renewed in time, it is braked as by a stop. Standstill needs no renewal."""
+    found = _set_point(plan, kind, to_rps, plan.axis.daemon.set_points.jog_timeout_s if to_rps else 0.0, 0.0)
     stopping = found.set_point._replace(after_acceleration_rps2=plan.axis.daemon.stop_rps2)
-    return found._replace(set_point=stopping)
-
-
-def velocity(plan: Plan, to_rps: float, for_s: float) -> AskedSetPoint:
-    """A velocity until the next set point, or for a time (0: no end). Raises DocumentError."""
-    return _set_point(plan, VELOCITY, to_rps, for_s, 0.0)
-
-
-def step(plan: Plan, from_rps: float, by_rps: float, for_s: float) -> AskedSetPoint:
-    """A change of the present set point, permanent or for a time. Raises DocumentError."""
-    return _set_point(plan, STEP, from_rps + by_rps, for_s, from_rps)
+    return found._replace(set_point=stopping, leased=to_rps != 0.0)
 
 
 def standstill(plan: Plan) -> AskedSetPoint:

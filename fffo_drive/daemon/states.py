@@ -4,16 +4,25 @@ Each row gives the next state and the actions for one event in one state. A requ
 observation without a row is ignored. Only ENABLE requests torque, and every row that leads out of a fault needs a
 reset: there is no way from a fault to torque without a reset and another enable.
 
-A request for torque or motion is valid only in the epoch in which it was made. Every stop, disable, quick stop, fault
-and reset begins a new epoch, and so does a change of the client in charge: earlier requests are refused, however late
-they are processed.
+A request for torque or motion is valid only in the epoch in which it was made. Every stop, disable, quick stop, lapsed
+lease, fault and reset begins a new epoch, and so does a change of the client in charge: earlier requests are refused,
+however late they are processed.
+
+A stop latches. A request for motion that names no epoch belongs to the first one of the daemon: from the first stop on,
+motion needs a request that names the epoch which the last stop began. A stream of requests that was there before a stop
+moves nothing after it, whatever else is asked for by whomever.
 """
 
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import NamedTuple
+
+EPOCHS_PER_S = 1000  # the first epoch of a daemon is its start, in these of the wall clock: none of an earlier daemon
 
 
 class State(StrEnum):
@@ -58,6 +67,8 @@ class StateEvent(StrEnum):
     RESET = "reset"
     RESET_AWAY = "reset_away"
     # observed
+    LAPSED = "lapsed"
+    CHARGE = "charge"
     FOUND = "found"
     PERMITTED = "permitted"
     FORBIDDEN = "forbidden"
@@ -76,40 +87,53 @@ class Happening(NamedTuple):
 
     asked: bool  # a request, as opposed to an observation
     text: str
-    raises: bool = False  # begins a new epoch: earlier requests are refused from here on
+    raises: str = ""  # begins a new epoch: in these words earlier requests are refused from here on
     bound: bool = False  # valid only in the epoch in which it was made
+    named: bool = False  # ... which has to be named: without, it belongs to the first epoch of the daemon
 
 
 EVENTS = {
     StateEvent.ENABLE: Happening(True, "request for torque", bound=True),
-    StateEvent.DISABLE: Happening(True, "request to brake, then remove torque", raises=True),
-    StateEvent.START: Happening(True, "request to run a profile", bound=True),
+    StateEvent.DISABLE: Happening(True, "request to brake, then remove torque", raises="stopped by {who}"),
+    StateEvent.START: Happening(True, "request to run a profile", bound=True, named=True),
     StateEvent.PREPARED: Happening(True, "the profile of that start is computed and within the limits", bound=True),
     StateEvent.NOT_PREPARED: Happening(True, "the profile of that start cannot be used", bound=True),
-    StateEvent.SET_POINT: Happening(True, "request with a live set point", bound=True),
-    StateEvent.STOP: Happening(True, "request to brake to standstill", raises=True),
-    StateEvent.QUICK_STOP: Happening(True, "request for the drive's quick stop", raises=True),
-    StateEvent.RESET: Happening(True, "request to reset a fault; the drive answers", raises=True),
-    StateEvent.RESET_AWAY: Happening(True, "request to reset a fault; the drive or the loop is gone", raises=True),
+    StateEvent.SET_POINT: Happening(True, "request with a live set point", bound=True, named=True),
+    StateEvent.STOP: Happening(True, "request to brake to standstill", raises="stopped by {who}"),
+    StateEvent.QUICK_STOP: Happening(True, "request for the drive's quick stop", raises="stopped by {who}"),
+    StateEvent.RESET: Happening(True, "request to reset a fault; the drive answers", raises="fault reset by {who}"),
+    StateEvent.RESET_AWAY: Happening(
+        True, "request to reset a fault; the drive or the loop is gone", raises="fault reset by {who}"
+    ),
+    StateEvent.LAPSED: Happening(
+        False, "a set point was not renewed within its lease: the loop brakes", raises="stopped by {who}"
+    ),
+    StateEvent.CHARGE: Happening(False, "another connection comes to be in charge", raises="taken over by {who}"),
     StateEvent.FOUND: Happening(False, "the drive is brought up, the loop runs"),
     StateEvent.PERMITTED: Happening(False, "feedback is fresh, no fault, commissioning record valid"),
     StateEvent.FORBIDDEN: Happening(False, "one of these conditions no longer holds"),
     StateEvent.PROFILE_ENDED: Happening(False, "the profile, the motion by set points or the braking has ended"),
     StateEvent.TORQUE_OFF: Happening(False, "the drive reports that its power stage is off"),
-    StateEvent.ENABLE_TIMEOUT: Happening(False, "the drive does not reach Operation Enabled in time", raises=True),
-    StateEvent.STOP_TIMEOUT: Happening(False, "the controlled stop takes too long", raises=True),
-    StateEvent.STOP_FAILED: Happening(False, "the quick stop takes too long as well", raises=True),
+    StateEvent.ENABLE_TIMEOUT: Happening(
+        False, "the drive does not reach Operation Enabled in time", raises="not enabled in time"
+    ),
+    StateEvent.STOP_TIMEOUT: Happening(
+        False, "the controlled stop takes too long", raises="stopped by a quick stop: the controlled one took too long"
+    ),
+    StateEvent.STOP_FAILED: Happening(
+        False, "the quick stop takes too long as well", raises="stopped by a fault: the quick stop took too long"
+    ),
     StateEvent.DRIVE_LOST: Happening(
         False,
         "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, or another "
         "master's SYNC",
-        raises=True,
+        raises="stopped by {who}",
     ),
     StateEvent.TRIPPED: Happening(
-        False, "any other trip of the envelope, including faults of the drive", raises=True
+        False, "any other trip of the envelope, including faults of the drive", raises="stopped by {who}"
     ),
-    StateEvent.LOOP_ENDED: Happening(False, "the loop's thread has ended", raises=True),
-}  # fmt: skip
+    StateEvent.LOOP_ENDED: Happening(False, "the loop's thread has ended", raises="stopped by {who}"),
+}
 
 
 class Action(StrEnum):
@@ -168,6 +192,7 @@ TABLE: dict[tuple[State, StateEvent], StateTransition] = {
     (_S.ENABLED, _E.ENABLE): StateTransition(_S.ENABLED),
     (_S.ENABLED, _E.START): StateTransition(_S.PREPARING),
     (_S.ENABLED, _E.SET_POINT): StateTransition(_S.FOLLOWING, (_A.FOLLOW,)),
+    (_S.ENABLED, _E.CHARGE): StateTransition(_S.ENABLED),
     (_S.ENABLED, _E.STOP): StateTransition(_S.ENABLED),
     (_S.ENABLED, _E.DISABLE): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     (_S.ENABLED, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
@@ -177,6 +202,7 @@ TABLE: dict[tuple[State, StateEvent], StateTransition] = {
     (_S.PREPARING, _E.ENABLE): StateTransition(_S.PREPARING),
     (_S.PREPARING, _E.PREPARED): StateTransition(_S.RUNNING, (_A.START,)),
     (_S.PREPARING, _E.NOT_PREPARED): StateTransition(_S.ENABLED),
+    (_S.PREPARING, _E.CHARGE): StateTransition(_S.ENABLED),
     (_S.PREPARING, _E.STOP): StateTransition(_S.ENABLED),
     (_S.PREPARING, _E.DISABLE): StateTransition(_S.STOPPING, (_A.DISABLE,)),
     (_S.PREPARING, _E.QUICK_STOP): StateTransition(_S.STOPPING, (_A.QUICK_STOP,)),
@@ -191,6 +217,7 @@ TABLE: dict[tuple[State, StateEvent], StateTransition] = {
     **_falls(_S.RUNNING),
     #
     (_S.FOLLOWING, _E.SET_POINT): StateTransition(_S.FOLLOWING, (_A.FOLLOW,)),
+    (_S.FOLLOWING, _E.LAPSED): StateTransition(_S.FOLLOWING),
     (_S.FOLLOWING, _E.PROFILE_ENDED): StateTransition(_S.ENABLED),
     (_S.FOLLOWING, _E.STOP): StateTransition(_S.FOLLOWING, (_A.BRAKE,)),
     (_S.FOLLOWING, _E.DISABLE): StateTransition(_S.STOPPING, (_A.BRAKE,)),
@@ -268,9 +295,9 @@ def step(state: State, event: StateEvent) -> StateTransition | None:
 class Epoch:
     """A number that only increases, and whether a stop awaits its acknowledgement. Thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, first: int) -> None:
         self._lock = threading.Lock()
-        self._value = 1
+        self.first = self._value = first
         self._stops = 0
 
     @property
@@ -300,41 +327,73 @@ class Epoch:
             self._stops -= 1
 
 
+class LastStop(NamedTuple):
+    """What began the present epoch: a stop, or another event of EVENTS that raises it."""
+
+    who: str
+    at: str  # wall clock, ISO 8601, UTC
+    kind: str  # of StateEvent
+    text: str  # as a refusal says it
+    epoch: int  # that it began
+
+
 class Machine:
     """The state and its epoch, changed by the table only. Nothing else decides whether a request is still valid."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+        """`clock`: seconds since 1970."""
         self.state = State.OFFLINE
-        self.epoch = Epoch()
+        self._clock = clock
+        self.epoch = Epoch(max(1, int(clock() * EPOCHS_PER_S)))
+        self._stop: LastStop | None = None
 
-    def take(self, event: StateEvent, asked_in: int | None = None) -> StateTransition | None:
+    @property
+    def last_stop(self) -> LastStop | None:
+        """What began the present epoch; None in the first one."""
+        stop = self._stop  # its acknowledgement has raised the epoch once more
+        return None if stop is None else stop._replace(epoch=self.epoch.value)
+
+    def take(
+        self, event: StateEvent, asked_in: int | None = None, who: str = "", what: str = ""
+    ) -> StateTransition | None:
         """Move to the next state. Returns the row; None for an observation that is ignored in this state.
 
-        `asked_in`: the epoch in which the request was made; None: the present one. Raises RefusedError.
+        `asked_in`: the epoch in which the request was made, see `require_epoch`; `who` ends an epoch, for those whose
+        requests are refused then; `what`: the request in their words. Raises RefusedError.
         """
         happening = EVENTS[event]
         if happening.bound:
-            self._require_epoch(event, asked_in)
+            self.require_epoch(event, asked_in, what)
         row = step(self.state, event)
         if row is None:
             return None
         if happening.raises:
-            self.epoch.advance()
+            at = datetime.fromtimestamp(self._clock(), UTC).isoformat(timespec="milliseconds")
+            self._stop = LastStop(who, at, event.value, happening.raises.format(who=who), self.epoch.advance())
         self.state = row.to
         return row
 
-    def _require_epoch(self, event: StateEvent, asked_in: int | None) -> None:
-        what = event if event in (StateEvent.ENABLE, StateEvent.SET_POINT) else StateEvent.START
+    def require_epoch(self, event: StateEvent, asked_in: int | None, what: str = "") -> None:
+        """Raise RefusedError if a bound request was not made in the present epoch, or while a stop is carried out.
+
+        Without `asked_in` a request for motion belongs to the first epoch, any other one to the present one.
+        """
+        asked_as = event if event in (StateEvent.ENABLE, StateEvent.SET_POINT) else StateEvent.START
+        what, now = what or asked_as.value, self.epoch.value
+        in_epoch = asked_in if asked_in is not None else self.epoch.first if EVENTS[event].named else now
+        ended, stop = in_epoch != now, self.last_stop
+        why = f"epoch {now} is the first one of this daemon"
+        if stop is not None:
+            why = f"{stop.text} at {stop.at[11:19]} UTC (epoch {now} has begun)"
         if self.epoch.stopping:
-            text = f"{what.value}: a stop is being carried out; ask again when it is acknowledged"
-        elif asked_in is not None and asked_in != self.epoch.value:
-            text = (
-                f"{what.value} was asked for in epoch {asked_in}; epoch {self.epoch.value} has begun since by a stop, "
-                "a fault, a reset or a change of who is in charge: look at the axis and ask again"
-            )
+            what += f": {why}" if ended else ""
+            text = f"{what}: a stop is being carried out; ask again when it is acknowledged"
+        elif ended:
+            named = "" if asked_in is None else f", not in {asked_in}"
+            text = f"{what}: {why}: look at the axis, then ask again with epoch {now}{named}"
         else:
             return
-        raise RefusedError(text, self.state, states_with(what))
+        raise RefusedError(text, self.state, states_with(asked_as))
 
 
 def require_change(state: State, change: Change) -> None:
@@ -354,13 +413,14 @@ def markdown() -> str:
         "request without a row in the present state is refused, and the answer names the states that allow it.", "",
         "| state | meaning |", "| --- | --- |",
         *(f"| {state.value} | {MEANINGS[state]} |" for state in State), "",
-        "The epoch is a number that only increases. A request bound to it is refused if it was made in an earlier "
-        "epoch, whenever it is processed. A change of the client in charge (enable with hold, and its end) and the "
-        "acknowledgement of a stop raise it too.", "",
+        "The epoch is a number that only increases, also from one start of the daemon to the next. A request bound to "
+        "it is refused if it was made in an earlier epoch, whenever it is processed. A request for motion has to name "
+        "the epoch; one that does not belongs to the first epoch of the daemon, and so is refused for good once "
+        "anything has raised it. The acknowledgement of a stop raises it once more.", "",
         "| event | meaning | epoch |", "| --- | --- | --- |",
         *(
             f"| {event.value} | {happening.text} | {'raises it' if happening.raises else ''}"
-            f"{'bound to it' if happening.bound else ''} |"
+            f"{'bound to it' if happening.bound else ''}{', which it has to name' if happening.named else ''} |"
             for event, happening in EVENTS.items()
         ), "",
         "| state | event | next state | actions |", "| --- | --- | --- | --- |",

@@ -70,6 +70,7 @@ def _set_point_of(supervisor: Supervisor) -> dict[str, Any] | None:
         "number": motion.set_point_number,
         "to_rps": motion.target_rps,
         "hold_s": hold_s or None,
+        "run_on": motion.asked.set_point.hold_ticks == 0,
         "lapsed": motion.lapsed,
         "blocked": motion.blocked,
         "latency_s": latency_s(supervisor.plan),

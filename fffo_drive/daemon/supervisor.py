@@ -34,9 +34,9 @@ from .event_log import EventLog
 from .journal import Journal
 from .motion import MotionRequests
 from .record_keeper import RecordKeeper, Sources
-from .set_points import JOG, AskedSetPoint, longest_stop_s
+from .set_points import AskedSetPoint, longest_stop_s
 from .states import AT_REST, TORQUE_STATES, WANTING_TORQUE, Action, Machine, RefusedError, State, StateEvent
-from .watch import GONE, LOST_TRIPS, Latched, Trouble, Watcher, silent_ticks
+from .watch import GONE, LOST_TRIPS, Latched, Shaft, Trouble, Watcher, silent_ticks
 from .worker import DiskSilentError, Worker
 
 TURN_S = 0.04
@@ -55,6 +55,7 @@ class Supervisor:
     def __init__(
         self, plan: Plan, journal: Journal, bus: str | None = None, uncommissioned: bool = False,
         recordings: Path | None = None, clock: Callable[[], float] = time.monotonic, sources: Sources | None = None,
+        wall_clock: Callable[[], float] = time.time,
     ) -> None:  # fmt: skip
         self.plan = plan
         self.model_hash = content_hash(plan.model)
@@ -64,7 +65,7 @@ class Supervisor:
         self.recorder = RecordKeeper(self.log, recordings, clock)
         self.effects = EffectsWatch(plan, self.log)
         self.log.listeners.append(self.recorder.tell)
-        self.machine = Machine()
+        self.machine = Machine(wall_clock)
         self.changed: Callable[[], None] = lambda: None  # called after each step of the state machine
         self.bus_work = Worker("fffo-bus")
         self.files = Worker("fffo-files", self.log.tell_disk)
@@ -90,6 +91,7 @@ class Supervisor:
         self._closing = False
         self._next_profile: Profile | None = None
         self._next_set_point: AskedSetPoint | None = None
+        self._set_point_by = "nobody"  # who asked for the last one
         self._deadline_s = NEVER_S
         self._torque_seen = False
         self._quick = False
@@ -104,13 +106,13 @@ class Supervisor:
         """Where the axis is."""
         return self.machine.state
 
-    def apply(self, event: StateEvent, asked_in: int | None = None) -> bool:
+    def apply(self, event: StateEvent, asked_in: int | None = None, who: str = "", what: str = "") -> bool:
         """Take the transition of the table. False if there is none. Raises RefusedError for a request not possible now.
 
-        `asked_in`: epoch in which it was requested, for bound requests.
+        The rest as in `Machine.take`.
         """
         before = self.state
-        row = self.machine.take(event, asked_in)
+        row = self.machine.take(event, asked_in, who, what)
         if row is None:
             return False
         now_s = self._clock()
@@ -211,7 +213,7 @@ class Supervisor:
         self.obstacles = [text]
         if trouble.event is StateEvent.TRIPPED:
             self._hear_out(trouble.text, statusword)
-        self.apply(trouble.event)
+        self.apply(trouble.event, who=f"{'a fault' if latches else 'the loss of the drive'}: {trouble.name}")
 
     def _heard(self, text: str, statusword: int | None) -> str:
         """A reason, with the messages that the drive has sent by itself."""
@@ -252,11 +254,7 @@ class Supervisor:
                 self._deadline_s = NEVER_S
             self._torque_seen = True
         motion.brake_when_settled(self.plan)
-        lapsed = motion.newly_lapsed()
-        if lapsed is not None and lapsed.kind == JOG and lapsed.set_point.target_rps != 0.0:
-            timeout_s = self.plan.axis.daemon.set_points.jog_timeout_s
-            text = f"the jog was not renewed within {timeout_s:g} s (daemon.set_points.jog_timeout_s): braked"
-            self.log.add("set_point", text, Level.WARNING)
+        self._look_for_lapse(motion)
         if motion.newly_blocked():
             text = "the set point leads out of envelope.position_window_rev: braked before its edge"
             self.log.add("set_point", text, Level.WARNING)
@@ -267,6 +265,17 @@ class Supervisor:
                 motion.ask(GOAL_DISABLED)
             if watcher.torque_off:
                 self.apply(StateEvent.TORQUE_OFF)
+
+    def _look_for_lapse(self, motion: MotionRequests) -> None:
+        """Whether a set point was not renewed in time, which is as good as a stop by its client."""
+        lapsed = motion.newly_lapsed()
+        if lapsed is None or not lapsed.leased:
+            return
+        what = f"{lapsed.kind} of {self._set_point_by} that was not renewed within"
+        timeout_s = lapsed.set_point.hold_ticks * self.plan.axis.loop.period_s
+        text = f"the {what} {timeout_s:g} s (daemon.set_points.jog_timeout_s): braked"
+        self.log.add("set_point", text, Level.WARNING)
+        self.apply(StateEvent.LAPSED, who=f"a {what} {timeout_s:g} s")
 
     def _look_for_obstacles(self) -> None:
         """Whether the axis may be enabled."""
@@ -332,7 +341,7 @@ class Supervisor:
             self.log.add("recording", f"recording: {failure}", Level.ERROR)
         if failure and self.plan.axis.daemon.record_required and self.state in WANTING_TORQUE:
             self.log.add("recording", "daemon.record_required: the axis is stopped", Level.ERROR)
-            self.apply(StateEvent.DISABLE)
+            self.apply(StateEvent.DISABLE, who="daemon.record_required")
 
     @property
     def consistent(self) -> bool:
@@ -347,12 +356,12 @@ class Supervisor:
 
     # -- requests --------------------------------------------------------------------------------------------------
 
-    def reset_fault(self) -> None:
+    def reset_fault(self, who: str) -> None:
         """Leave a fault: in place if the drive answers, else by bringing it up again."""
         connection = self.connection
         away = connection is None or not connection.running or connection.trip in LOST_TRIPS
         lost = self.fault is not None and self.fault.name in GONE
-        self.apply(StateEvent.RESET_AWAY if away or lost else StateEvent.RESET)
+        self.apply(StateEvent.RESET_AWAY if away or lost else StateEvent.RESET, who=who)
 
     def begin_start(self, asked_in: int | None) -> int:
         """Begin to prepare a profile. Return the epoch to which the start is bound. Raises RefusedError."""
@@ -366,14 +375,24 @@ class Supervisor:
         self._next_profile = profile
         self.apply(StateEvent.PREPARED, epoch)
 
-    def follow(self, asked: AskedSetPoint, asked_in: int | None) -> MotionRequests:
-        """Follow a live set point from now on. Raises RefusedError."""
+    def require_renewable(self, kind: str, number: int | None, asked_in: int | None) -> None:
+        """Raise RefusedError, with what ended it, where a request renews a set point that is over."""
+        if self.motion is not None:
+            self._look_for_lapse(self.motion)  # what has lapsed since the last turn ends the epoch now
+        self.machine.require_epoch(StateEvent.SET_POINT, asked_in, kind)
+        if number is not None and (self.motion is None or not self.motion.can_renew(number)):
+            text = f"{kind}: set point {number} is over: another one, by {self._set_point_by}, came after it"
+            raise RefusedError(text, self.state, ())
+
+    def follow(self, asked: AskedSetPoint, asked_in: int | None, who: str) -> MotionRequests:
+        """Follow a live set point of `who` from now on. Raises RefusedError."""
         acts = self._watcher is not None and self._watcher.commanding
         if self.state is State.ENABLED and not acts:
             text = "the axis has no torque yet: wait for enable to answer, and for the brake (drive.enable_delay_s)"
             raise RefusedError(text, self.state, (State.ENABLED, State.FOLLOWING))
         self._next_set_point = asked
-        self.apply(StateEvent.SET_POINT, asked_in)
+        self.apply(StateEvent.SET_POINT, asked_in, what=asked.kind)
+        self._set_point_by = who
         assert self.motion is not None
         return self.motion
 
@@ -391,6 +410,11 @@ class Supervisor:
     def has_torque(self) -> bool:
         """Whether torque was requested and is on."""
         return self.state in WANTING_TORQUE and self._torque_seen
+
+    @property
+    def shaft(self) -> Shaft | None:
+        """What the feedback shows of the shaft; None where nothing is measured."""
+        return None if self._watcher is None else self._watcher.shaft(self.plan.axis.loop.period_s)
 
     def set_plan(self, plan: Plan) -> None:
         """Change gains, model and other settings without a new loop; the loop takes the law at a tick boundary."""
@@ -521,10 +545,10 @@ class Supervisor:
         """Brake, disable, and wait until the power stage is off: controlled stop, then quick stop, each for a bounded
         time.
         """
-        self.apply(StateEvent.DISABLE)
+        self.apply(StateEvent.DISABLE, who="the end of the service")
         if not await self.reached(lambda: self.state in AT_REST, ORDERLY_STOP_S):
             self.log.add("stopping", f"not at rest within {ORDERLY_STOP_S:g} s: quick stop", Level.WARNING)
-            self.apply(StateEvent.QUICK_STOP)
+            self.apply(StateEvent.QUICK_STOP, who="the end of the service")
             await self.reached(lambda: self.state in AT_REST, QUICK_STOP_S)
 
     async def close(self) -> None:

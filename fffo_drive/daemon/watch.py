@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ..control import envelope as env
 from ..control.reference import MODE_IDLE
 from ..drive.cia402 import (
@@ -20,6 +22,9 @@ from .states import StateEvent
 
 RESET_TICKS = 60  # duration of a reset request (requests.FAULT_RESET_TICKS, and the drive's answer)
 STANDSTILL_RPS = 0.05
+MEASURED_S = (
+    0.02  # of which a measured velocity is the mean; at rest it is small twice, or the shaft may just turn back
+)
 SILENT_S = 0.5  # without an answer to SYNC for this long, at rest, the drive counts as lost
 
 # trips after which the drive is lost, unreachable or under another master; these faults: bring it up again
@@ -43,6 +48,13 @@ class Latched(NamedTuple):
     name: str
     text: str
     tick: int
+
+
+class Shaft(NamedTuple):
+    """What the feedback shows."""
+
+    velocity_rps: float
+    at_rest: bool
 
 
 class Trouble(NamedTuple):
@@ -139,6 +151,15 @@ class Watcher:
         if in_local_control(self.connection.session.config.loop.served_status_bits, int(row["statusword"])):
             found.append(env.TRIP_TEXTS[env.TRIP_LOCAL_CONTROL])
         return found
+
+    def shaft(self, period_s: float) -> Shaft | None:
+        """What the feedback shows of the shaft; None while the drive or the loop is silent."""
+        rows = self.connection.last_rows(2 * max(1, round(MEASURED_S / period_s)))
+        if not (rows and self.connection.running and self.moving) or int(rows[-1]["velocity_age"]) >= len(rows):
+            return None
+        velocities_rps = np.array([row["velocity_rps"] for row in rows])
+        before_rps, now_rps = (float(np.mean(half)) for half in np.array_split(velocities_rps, 2))
+        return Shaft(now_rps, max(abs(before_rps), abs(now_rps)) < STANDSTILL_RPS)
 
     @property
     def torque_on(self) -> bool:

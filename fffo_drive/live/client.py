@@ -12,7 +12,7 @@ from ..documents import json_object
 from ..roles import Role, may
 from ..signals import UNITS
 from . import frames
-from .control_link import REFUSED, ControlLink, ControlLinkError
+from .control_link import ControlLink, ControlLinkError
 from .feed import CAPTURE_S
 from .keys import Asker
 from .peer import DroppedError, Peer
@@ -26,7 +26,6 @@ Call = Callable[[], Awaitable[Any]]
 COMMANDS = {"enable": 10.0, "disable": 10.0, "start": 0.0, "stop": 10.0, "toggle": None, "reset_fault": 10.0}
 WRONG_KEYS = 5
 NO_KEY = "this page may only look; `fffo-drive scope` prints the address with the key"
-STOPPED_SINCE = "the axis was stopped since this page showed its state; look at it, then start again"
 
 
 class LiveClient(Peer):
@@ -57,6 +56,8 @@ class LiveClient(Peer):
             self._check_key(wanted.get("token"))
         elif what == "capture":
             self._begin_capture(wanted)
+        elif what == "here":
+            self._link.say_alive()  # of a page that holds the axis the daemon has to hear
         elif what not in ("stop", "call"):
             raise DroppedError("sent an unknown request")
         elif self._asker.role == "look":
@@ -104,18 +105,7 @@ class LiveClient(Peer):
             wait_s = COMMANDS[method]
             waits = {} if wait_s is None else {"wait_s": wait_s}
             given = {**params, **waits, WHO: self._asker.text}
-            self.answer_later(self._answer(wanted, partial(self._command, method, given)))
-
-    async def _command(self, method: str, given: dict[str, Any]) -> Any:
-        """Ask the daemon. Raises LinkError, which says so when the epoch is the reason."""
-        try:
-            return await self._link.call(method, given)
-        except ControlLinkError as error:
-            if error.code == REFUSED and "epoch" in given:
-                status = await self._link.call("status")
-                if status.get("epoch") != given["epoch"]:
-                    raise ControlLinkError(f"{STOPPED_SINCE} ({error})", REFUSED) from None
-            raise
+            self.answer_later(self._answer(wanted, partial(self._link.call, method, given)))
 
     def _refuse(self, wanted: dict[str, Any], why: str) -> None:
         self.offer(frames.text("answer", id=_number(wanted), error=why))

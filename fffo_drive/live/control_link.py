@@ -11,7 +11,6 @@ from typing import Any
 
 LINE_LIMIT = 4 * 1024 * 1024
 ANSWER_S = 15.0  # in addition to the time that a call itself may take
-REFUSED = -32000  # error code of the control API: not possible in this state, or of an earlier epoch
 
 
 class ControlLinkError(Exception):
@@ -63,6 +62,11 @@ class ControlLink:
             raise ControlLinkError("the daemon does not answer") from None
         finally:
             self._waiting.pop(number, None)
+
+    def say_alive(self) -> None:
+        """A sign of life, of a client that holds the axis by this connection."""
+        if self._writer is not None:
+            self._writer.write(b"\n")
 
     async def _open(self) -> None:
         async with self._opening:

@@ -189,6 +189,7 @@ class Viewer(Peer):
 
     def take(self, message: str | bytes) -> None:
         """Handle a message of the protocol. Raises DroppedError."""
+        self._own.link.say_alive()  # of a viewer that holds the axis the daemon has to hear
         try:
             asked = protocol.parse(message)
         except protocol.ProtocolError as error:

@@ -102,9 +102,11 @@ def step_response(
     sleep: Callable[[float], None] = time.sleep,
 ) -> StepResponse:  # fmt: skip
     """A step of the velocity set point and back, recorded. Raises CallError, ClientError, DocumentError."""
-    state = client.call("status")["state"]
-    if state not in BEGINS:
+    status = client.call("status")
+    if (state := status["state"]) not in BEGINS:
         raise DocumentError(f"a step begins from {' or '.join(BEGINS)}, the axis is in state {state}: enable it first")
+    if status["set_point"] is not None and not status["set_point"]["run_on"]:
+        raise DocumentError("a step begins from standstill or a velocity that may run on: this one ends by itself")
     with own_recording(client, asker) as files:
         sleep(LEAD_S)
         number = client.call("step", by_rps=by_rps, for_s=for_s, epoch=epoch, **asker)["set_point"]

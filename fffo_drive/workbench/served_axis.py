@@ -7,6 +7,7 @@ only a page that holds the axis keeps one, and the daemon does as daemon.client_
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 import threading
 import time
@@ -54,6 +55,13 @@ class Page:
                 self._held.close()
             self._held = DaemonClient(self.directory / CONTROL, ANSWER_S)
             return self._held.call("enable", **{**params, "hold": True})
+
+    def speak(self, now_s: float) -> None:
+        """It is there; the daemon hears so from the one that holds the axis."""
+        self.heard_s = now_s
+        with self._lock, contextlib.suppress(ClientError):
+            if self._held is not None:
+                self._held.send_line(b"")
 
     def close(self) -> None:
         """It is gone."""
@@ -106,7 +114,7 @@ class ServedAxis:
         """A page is there."""
         page = self._pages.get(str(name))
         if page is not None:
-            page.heard_s = self._clock()
+            page.speak(self._clock())
 
     def messages(self, directory: Path) -> Generator[dict[str, Any], None, None]:
         """What a page is sent until the daemon ends or the page is gone. Raises DocumentError."""

@@ -25,6 +25,8 @@ ENABLE_OPERATION = 0x0F
 class BusNode:
     """`prepare` gets the node before it boots (to refuse a write, say), `after_boot` after it."""
 
+    body = RigidBody
+
     def __init__(
         self,
         bus: str,
@@ -32,7 +34,7 @@ class BusNode:
         prepare: Callable[[Node], None] | None = None,
         after_boot: Callable[[Node], None] | None = None,
     ) -> None:
-        self.plant = RigidBody()
+        self.plant = self.body()
         self.node = Node(config or NodeConfig(), self.plant)
         if prepare is not None:
             prepare(self.node)

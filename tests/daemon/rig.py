@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import math
 import shutil
 import threading
 import time
@@ -19,6 +20,7 @@ from typing import Any
 import yaml
 from bad_input.bus_node import BusNode
 from interpreted import TESTS
+from node.node_rig import RigidBody
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.daemon.client import DaemonClient
@@ -74,8 +76,21 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     write(path, content)
 
 
+class BodyWithFriction(RigidBody):
+    """Without torque it comes to rest, as an axis does."""
+
+    friction_rps2 = 1.0
+
+    def advance(self, until_ns: int, current_a: float) -> None:
+        lost_rps = self.friction_rps2 * (until_ns - self._time_ns) / 1e9
+        super().advance(until_ns, current_a)
+        self.velocity_rps -= math.copysign(min(lost_rps, abs(self.velocity_rps)), self.velocity_rps)
+
+
 class CommandedNode(BusNode):
     """A node that can be given calls to run on its own thread, between two frames."""
+
+    body = BodyWithFriction
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)

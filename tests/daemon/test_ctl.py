@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 
@@ -75,13 +76,14 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         code, _, error = run(capsys, *sockets, "start")
         assert code == 70
         assert "start is not possible in state ready, only in enabled" in error
-        assert run(capsys, *sockets, "enable")[1] == "state: enabled, reached: True, epoch: 1\n"
+        assert run(capsys, *sockets, "enable")[1].startswith("state: enabled, reached: True, epoch: ")
         profile = tmp_path / "gentle.yaml"
         profile.write_text("kind: sine\nduration_s: 0.5\namplitude: 0.5\nfrequency_hz: 2\n")
         assert run(capsys, *sockets, "start", str(profile), "--wait-s", "60")[0] == 0
         code, _, error = run(capsys, *sockets, "start", "default", "--epoch", "7")
         assert code == 70
-        assert "was asked for in epoch 7" in error
+        assert "is the first one of this daemon" in error
+        assert "not in 7" in error
         code, _, error = run(capsys, *sockets, "start", "no_such")
         assert code == 78
         assert "known: default" in error
@@ -102,8 +104,17 @@ def test_a_session_at_the_terminal(capsys, tmp_path):
         assert code == 70
         assert "no change in state enabled" in error
         assert run(capsys, *sockets, "record", "on")[0] == 0
-        assert run(capsys, *sockets, "stop")[0] == 0
-        assert run(capsys, *sockets, "quick-stop")[1].startswith("state: ready, reached: True, epoch: ")
+        code, out, _ = run(capsys, *sockets, "stop")
+        assert code == 0
+        assert re.fullmatch(r"at rest, \S+ rps measured; state: enabled, epoch: \d+\n", out)
+        # what is typed now is a deliberate act, and names the epoch
+        assert run(capsys, *sockets, "velocity", "2", "--run-on", "--wait-s", "60")[0] == 0
+        out = run(capsys, *sockets, "stop", "--wait-s", "0")[1]
+        assert re.match(r"taken, its end was not awaited: not at rest, [12]\.\d+ rps measured; state: following", out)
+        rig.until("enabled")
+        assert run(capsys, *sockets, "start", str(profile), "--wait-s", "60")[0] == 0
+        assert re.match("at rest, .*state: ready", run(capsys, *sockets, "quick-stop")[1])
+        assert "\nstopped by pid " in run(capsys, *sockets, "status")[1]
         assert run(capsys, *sockets, "model", str(rig.path.parent / "model.yaml"))[0] == 0
         code, _, error = run(capsys, *sockets, "model", str(tmp_path / "none.yaml"))
         assert code == 78

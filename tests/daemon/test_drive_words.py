@@ -43,7 +43,7 @@ def test_a_fault_has_the_drives_words_in_status_log_and_recording(tmp_path):
         rig.until("ready", client)
         client.call("record", to="on")
         client.call("enable")
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         rig.node.tell(lambda node: node.faults.inject(Fault(FaultKind.OVERCURRENT)))
         status = rig.until_status(lambda s: s["fault"] and "0x603F" in s["fault"]["text"], client)
         text = status["fault"]["text"]
@@ -138,7 +138,7 @@ def test_the_profile_waits_until_the_brake_is_open(tmp_path):
         rig.until("ready", client)
         client.call("record", to="on")
         client.call("enable")
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > 50, client)
         client.call("disable")
         (file,) = client.call("record", to="off")["files"]

@@ -69,7 +69,7 @@ class PlantRig(Rig):
             assert time.monotonic() < deadline_s, status
             assert status["state"] != "fault", status
             if status["state"] == "enabled":
-                client.call("start", profile=SINE)
+                client.act("start", profile=SINE)
             time.sleep(0.1)
             status = client.call("status")
         return status

@@ -30,7 +30,7 @@ def running(rig: Rig):
     client = rig.client()
     rig.until("ready", client)
     client.call("enable")
-    client.call("start", profile="default")
+    client.act("start", profile="default")
     return client
 
 
@@ -96,7 +96,7 @@ def test_row_holder_gone(tmp_path, loss, state):
         watcher, holder = rig.client(), rig.client()
         rig.until("ready", watcher)
         holder.call("enable", hold=True)
-        holder.call("start", profile="default")
+        holder.act("start", profile="default")
         holder.close()
         rig.until_status(lambda s: s["state"] == state and s["held_by"] is None, watcher)
         assert ("is gone" in str(rig.events("client"))) == (loss != "go_on")

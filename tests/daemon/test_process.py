@@ -91,7 +91,7 @@ class Process:
         client = self.client()
         self.wait(lambda: client.call("status")["state"] == "ready")
         client.call("enable")
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         self.wait(lambda: client.call("status")["profile"]["sample"] > 100)
         assert self.node.node.drive.state == OPERATION_ENABLED
         return client

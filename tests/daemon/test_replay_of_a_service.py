@@ -45,7 +45,7 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
         client.call("reload")
         client.call("record", to="on")
         client.call("enable")
-        client.call("start", profile=SINE)
+        client.act("start", profile=SINE)
         for change in (
             lambda: client.call("set", key=KEY, value=0.9),
             lambda: client.call("toggle", to="fb"),
@@ -59,7 +59,7 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
         client.call("reload")  # in motion
         seen(rig, client)
         client.call("stop")
-        client.call("start", profile=SHORT, wait_s=20)
+        client.act("start", profile=SHORT, wait_s=20)
         client.call("disable")
 
         # another model with an effect, while recording goes off and on
@@ -67,16 +67,16 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
         client.call("model", text=model_with(rig, COGGING, name="other"), name="other.yaml")
         client.call("record", to="on")
         client.call("enable")
-        client.call("start", profile=SINE)
+        client.act("start", profile=SINE)
         seen(rig, client)
         rig.node.tell(lambda node: node.drive.injected.add(OVERCURRENT))
         rig.until("fault", client)
         rig.node.tell(lambda node: node.drive.injected.clear())
         seen(rig, client)
         client.call("reset_fault")
-        refused(lambda: client.call("start", profile=SHORT), "ready")
+        refused(lambda: client.act("start", profile=SHORT), "ready")
         client.call("enable")
-        client.call("start", profile=SHORT, wait_s=20)
+        client.act("start", profile=SHORT, wait_s=20)
         client.call("quick_stop")
         files = [Path(name) for name in client.call("record", to="off")["files"]]
     first = sorted((tmp_path / "axis" / "runs").glob("*.mcap"))

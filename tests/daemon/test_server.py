@@ -90,8 +90,8 @@ def test_each_mistake_of_a_client_has_its_error_and_the_connection_goes_on(rig):
     assert code(lambda: client.call("subscribe", status_hz=1e6)) == rpc.INVALID_PARAMS
     assert code(lambda: client.call("enable", hold="long")) == rpc.INVALID_PARAMS
     assert code(lambda: client.call("enable")) == rpc.REFUSED
-    assert code(lambda: client.call("start", profile="no such")) == rpc.REFUSED
-    assert code(lambda: client.call("start", profile={"kind": "sine"})) == rpc.INVALID_PARAMS
+    assert code(lambda: client.act("start", profile="no such")) == rpc.REFUSED
+    assert code(lambda: client.act("start", profile={"kind": "sine"})) == rpc.INVALID_PARAMS
     assert code(lambda: client.call("set", key="loop.rate_hz", value=1)) == rpc.BAD_DOCUMENT
     assert code(lambda: client.call("model", text="{")) == rpc.BAD_DOCUMENT
     with pytest.raises(CallError) as error:
@@ -274,7 +274,7 @@ def test_a_batch_of_a_client_that_is_gone_at_once_leaves_no_stop_behind(rig, mon
     while rig.server._epoch.stopping:  # its answer ends the epoch, also that of a jog read just before it
         assert time.monotonic() < deadline_s, "the stop of the client that is gone is never answered"
     with pytest.raises(CallError, match="offline"):
-        rig.client().call("jog", to_rps=1.0)
+        rig.client().act("jog", to_rps=1.0)
 
 
 def test_stops_that_differ_do_not_become_a_flood_for_the_supervisor(rig, monkeypatch):

@@ -45,20 +45,33 @@ def test_the_preview_is_reported_in_whole_periods_and_without_it_there_is_none(t
 def test_what_is_asked_for_takes_its_bounds_from_the_axis_file(tmp_path):
     plan = plan_of(tmp_path)
     infinite = (-math.inf, math.inf)
-    jog = set_points.jog(plan, -2.5).set_point
-    assert jog[:6] == (-2.5, 20.0, 300.0, 200, 0.0, 40.0)  # 0.4 s at 500 Hz, then as an ordered stop
-    assert jog[6:8] == infinite
-    assert set_points.velocity(plan, 3.0, 0.0).set_point[:6] == (3.0, 20.0, 300.0, 0, 0.0, 20.0)
-    assert set_points.velocity(plan, 3.0, 1.0).set_point.hold_ticks == 500
-    assert set_points.step(plan, 3.0, -0.5, 2.0).set_point[:6] == (2.5, 20.0, 300.0, 1000, 3.0, 20.0)
+    jog, velocity, step = (
+        set_points.jog(plan, -2.5), set_points.velocity(plan, -2.5, None, False),
+        set_points.step(plan, None, -3.0, 0.5, None, False),
+    )  # fmt: skip
+    for leased in (jog, velocity, step):  # 0.4 s at 500 Hz, then as an ordered stop
+        assert leased.leased
+        assert leased.set_point[:6] == (-2.5, 20.0, 300.0, 200, 0.0, 40.0)
+        assert leased.set_point[6:8] == infinite
+    runs_on, timed = set_points.velocity(plan, 3.0, None, True), set_points.velocity(plan, 3.0, 1.0, False)
+    assert runs_on.set_point[:6] == (3.0, 20.0, 300.0, 0, 0.0, 20.0)
+    assert timed.set_point.hold_ticks == 500
+    # back to what may run on by itself, and to nothing else
+    for before, after_rps in ((runs_on, 3.0), (timed, 0.0), (velocity, 0.0), (None, 0.0)):
+        asked = set_points.step(plan, before, 3.0, -0.5, 2.0, False)
+        assert asked.set_point[:6] == (2.5, 20.0, 300.0, 1000, after_rps, 20.0)
+        assert not asked.leased
+        assert set_points.step(plan, asked, 2.5, 1.0, 1.0, False).set_point.after_rps == after_rps
+    for stands in (set_points.jog(plan, 0.0), set_points.velocity(plan, 0.0, None, False)):
+        assert (stands.leased, stands.set_point.hold_ticks) == (False, 0)  # nobody has to renew a standstill
     assert set_points.standstill(plan).set_point[:6] == (0.0, 40.0, 300.0, 0, 0.0, 40.0)
-    assert math.copysign(1.0, set_points.velocity(plan, -0.0, 0.0).set_point.target_rps) == 1.0
+    assert math.copysign(1.0, set_points.velocity(plan, -0.0, None, True).set_point.target_rps) == 1.0
 
 
 def test_a_set_point_beyond_the_limit_is_refused_with_its_key(tmp_path):
     plan = plan_of(tmp_path / "a")
     with pytest.raises(DocumentError, match=r"step: 10\.5 rps is beyond daemon\.set_points\.largest_rps 10"):
-        set_points.step(plan, 10.0, 0.5, 0.0)
+        set_points.step(plan, None, 10.0, 0.5, None, False)
     plan = plan_of(tmp_path / "b", largest_rps=None)
     set_points.jog(plan, -25.0)
     with pytest.raises(DocumentError, match=r"jog: -25\.1 rps is beyond envelope\.speed_limit_rps 25"):

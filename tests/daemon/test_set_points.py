@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from daemon.rig import PATIENCE_S, RATE_HZ, Rig, edit
-from daemon.test_supervisor import reached, refused
+from daemon.test_supervisor import refused, stopped
 
 from fffo_drive.cli import main
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, INVALID_PARAMS
@@ -72,29 +72,29 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
     client.call("disable", wait_s=30)
     client.call("record", to="on")
     client.call("enable")
-    answer = client.call("velocity", to_rps=3)
+    answer = client.act("velocity", to_rps=3, run_on=True)
     assert answer["state"] == "following"
     assert answer["renew_within_s"] is None
     # Td - Ts of the model and half a period's hold: reported, rounded up to periods
     status = at_speed(rig, client, 3.0)
     assert status["set_point"] == {
-        "kind": "velocity", "number": answer["set_point"], "to_rps": 3.0, "hold_s": None, "lapsed": False,
-        "blocked": False, "latency_s": answer["latency_s"],
+        "kind": "velocity", "number": answer["set_point"], "to_rps": 3.0, "hold_s": None, "run_on": True,
+        "lapsed": False, "blocked": False, "latency_s": answer["latency_s"],
     }  # fmt: skip
     assert answer["latency_s"] > 0
-    client.call("velocity", to_rps=-2)  # and in the middle of it
-    client.call("velocity", to_rps=4, wait_s=30)
-    assert client.call("step", by_rps=0.5, wait_s=30)["to_rps"] == 4.5
+    client.act("velocity", to_rps=-2, run_on=True)  # and in the middle of it
+    client.act("velocity", to_rps=4, run_on=True, wait_s=30)
+    assert client.act("step", by_rps=0.5, run_on=True, wait_s=30)["to_rps"] == 4.5
     assert client.call("status")["motion"]["reference_rps"] == 4.5
-    number = client.call("step", by_rps=-1, for_s=0.4)["set_point"]
+    number = client.act("step", by_rps=-1, for_s=0.4)["set_point"]
     rig.until_status(lambda s: s["set_point"]["lapsed"], client)
     assert at_speed(rig, client, 4.5)["set_point"]["to_rps"] == 4.5
-    assert client.call("velocity", to_rps=0, wait_s=30)["state"] in ("following", "enabled")
+    assert client.act("velocity", to_rps=0, run_on=True, wait_s=30)["state"] in ("following", "enabled")
     rig.until("enabled", client)
     assert client.call("status")["set_point"] is None
-    last = client.call("velocity", to_rps=1, for_s=0.3)["set_point"]
+    last = client.act("velocity", to_rps=1, for_s=0.3)["set_point"]
     rig.until("enabled", client)
-    client.call("start", profile=SHORT, wait_s=30)  # a profile as before
+    client.act("start", profile=SHORT, wait_s=30)  # a profile as before
     client.call("disable")
     file, rows, records = recorded(client)
     within_bounds(rows)
@@ -117,14 +117,23 @@ def test_velocities_and_steps_that_nobody_knew_before(rig, client):
 
 def test_a_jog_that_nobody_renews_ends_at_standstill_without_a_step(rig, client):
     client.call("record", to="on")
-    answer = client.call("jog", to_rps=2)
+    answer = client.act("jog", to_rps=2)
     assert answer["renew_within_s"] == pytest.approx(TIMEOUT_S)
     number = answer["set_point"]
     client.close()  # whoever jogged is gone
     other = rig.client()
     rig.until("enabled", other)
     assert any("not renewed within 1 s" in event["text"] for event in rig.events("set_point"))
-    refused(lambda: other.call("jog", to_rps=2, renews=number), f"jog {number} is over")
+    # as good as a stop: whoever renews it too late hears what ended it, and does not move the axis
+    stop = other.call("status")["last_stop"]
+    assert stop["kind"] == "lapsed"
+    assert stop["epoch"] > answer["epoch"]
+    late = {"to_rps": 2, "renews": number}
+    ended = "jog of pid", "that was not renewed within 1 s"
+    refused(lambda: other.call("jog", **late, epoch=answer["epoch"]), *ended)
+    error = refused(lambda: other.call("jog", **late), *ended)
+    assert (error.data["epoch"], error.data["stop"]) == (stop["epoch"], stop)
+    refused(lambda: other.act("jog", **late), f"set point {number} is over")
     assert other.call("status")["state"] == "enabled"
     other.call("disable")
     _, rows, _ = recorded(other)
@@ -141,58 +150,63 @@ def test_a_jog_that_nobody_renews_ends_at_standstill_without_a_step(rig, client)
     assert moving - 1 <= (expected_s + answer["latency_s"]) * RATE_HZ <= standing + 1
 
 
-def test_a_jog_goes_on_as_long_as_it_is_renewed(rig, client):
-    answer = client.call("jog", to_rps=1)
+@pytest.mark.parametrize(("method", "asked"), [("jog", "to_rps"), ("velocity", "to_rps"), ("step", "by_rps")])
+def test_a_set_point_goes_on_as_long_as_it_is_renewed(rig, client, method, asked):
+    answer = client.act(method, **{asked: 1})
+    epoch = answer["epoch"]
+    said = len(rig.events("command"))
     first = client.call("status")["loop"]["tick"]
     while client.call("status")["loop"]["tick"] < first + 1.6 * TIMEOUT_S * RATE_HZ:
         before = answer["set_point"]
-        answer = client.call("jog", to_rps=1, renews=before)
+        answer = client.call(method, **{asked: 1}, renews=before, epoch=epoch)
         assert answer["set_point"] == before + 1
         time.sleep(0.02)
     status = client.call("status")
     assert status["set_point"]["to_rps"] == 1.0
     assert status["motion"]["reference_rps"] == 1.0
     # renewals are no news for the journal
-    said = [event["text"] for event in rig.events("command") if event["text"].startswith("jog 1 rps")]
-    assert len(said) == 1
-    # another set point ends the jog: its renewal is refused and does not bring it back
-    client.call("velocity", to_rps=0.5)
-    refused(lambda: client.call("jog", to_rps=1, renews=answer["set_point"]), "is over")
-    assert client.call("jog", to_rps=0)["to_rps"] == 0.0
+    assert len(rig.events("command")) == said
+    # another set point ends it: its renewal is refused and does not bring it back
+    client.act("velocity", to_rps=0.5, run_on=True)
+    late = partial(client.call, method, **{asked: 1}, renews=answer["set_point"], epoch=epoch)
+    refused(late, "is over: another one, by pid")
+    assert client.act("jog", to_rps=0)["to_rps"] == 0.0
     rig.until("enabled", client)
 
 
 def test_a_stop_ends_the_motion_and_what_was_asked_before_it(rig, client):
-    begun = client.call("velocity", to_rps=3)["epoch"]
-    assert reached(rig.client().call("stop")) == "enabled"
+    begun = client.act("velocity", to_rps=3, run_on=True)["epoch"]
+    assert stopped(rig.client().call("stop", who="anna (stop)")) == "enabled"
     assert client.call("status")["motion"]["reference_rps"] == 0.0
     for method, asked in (("velocity", "to_rps"), ("jog", "to_rps"), ("step", "by_rps")):
         late = partial(client.call, method, epoch=begun, **{asked: 3})
-        refused(late, f"epoch {begun}", "set_point")
+        refused(late, f"{method}: stopped by anna (stop) through pid", f"not in {begun}")
+        refused(partial(client.call, method, **{asked: 3}), f"{method}: stopped by anna (stop) through pid")
     assert client.call("status")["state"] == "enabled"
-    jogging = client.call("jog", to_rps=3)
+    jogging = client.act("jog", to_rps=3)
     answer = rig.client().call("stop")
-    refused(lambda: client.call("jog", to_rps=3, renews=jogging["set_point"], epoch=jogging["epoch"]), "is over")
+    renewal = {"renews": jogging["set_point"], "epoch": jogging["epoch"]}
+    refused(lambda: client.call("jog", to_rps=3, **renewal), "jog: stopped by pid", f"epoch {answer['epoch']}")
     assert client.call("status")["state"] == "enabled"
-    client.call("velocity", to_rps=1, epoch=answer["epoch"])  # of the present epoch
-    assert reached(client.call("disable")) == "ready"
+    client.call("velocity", to_rps=1, epoch=answer["epoch"], run_on=True)  # of the present epoch
+    assert stopped(client.call("disable")) == "ready"
     client.call("enable")
-    client.call("velocity", to_rps=3)
-    assert reached(client.call("quick_stop")) == "ready"
-    refused(lambda: client.call("velocity", to_rps=3), "ready", "enabled, following")
+    client.act("velocity", to_rps=3, run_on=True)
+    assert stopped(client.call("quick_stop")) == "ready"
+    refused(lambda: client.act("velocity", to_rps=3), "ready", "enabled, following")
 
 
 def test_what_is_not_possible_is_refused_with_what_is(rig, client):
-    refused(lambda: client.call("velocity", to_rps=12), "12 rps", "largest_rps 10", code=BAD_DOCUMENT)
-    client.call("velocity", to_rps=9.5)
-    refused(lambda: client.call("step", by_rps=1), "10.5 rps", code=BAD_DOCUMENT)
-    refused(lambda: client.call("start", profile="default"), "following")
-    refused(lambda: client.call("jog", to_rps=1e9), "to_rps", code=INVALID_PARAMS)
+    refused(lambda: client.act("velocity", to_rps=12), "12 rps", "largest_rps 10", code=BAD_DOCUMENT)
+    client.act("velocity", to_rps=9.5, run_on=True)
+    refused(lambda: client.act("step", by_rps=1), "10.5 rps", code=BAD_DOCUMENT)
+    refused(lambda: client.act("start", profile="default"), "following")
+    refused(lambda: client.act("jog", to_rps=1e9), "to_rps", code=INVALID_PARAMS)
     client.call("stop")
-    client.call("start", profile="default")
-    refused(lambda: client.call("jog", to_rps=1), "running", "enabled, following")
+    client.act("start", profile="default")
+    refused(lambda: client.act("jog", to_rps=1), "running", "enabled, following")
     client.call("disable")
-    refused(lambda: client.call("jog", to_rps=1), "ready")
+    refused(lambda: client.act("jog", to_rps=1), "ready")
     client.call("enable", wait_s=0)
 
 
@@ -226,9 +240,12 @@ def test_ctl_jogs_until_it_is_interrupted(rig, client, capsys):
     rig.until("enabled", client)
     with meanwhile(stop):
         assert main(["ctl", *sockets, "jog", "-1.5"]) == 70
-    assert "is over" in capsys.readouterr().err
+    assert "ctl: jog: stopped by pid" in capsys.readouterr().err
     rig.until("enabled", client)
-    assert main(["ctl", *sockets, "velocity", "-1", "--wait-s", "30"]) == 0
+    with meanwhile(interrupt):
+        assert main(["ctl", *sockets, "velocity", "1.5"]) == 0
+    rig.until("enabled", client)
+    assert main(["ctl", *sockets, "velocity", "-1", "--run-on", "--wait-s", "30"]) == 0
     assert main(["ctl", *sockets, "status"]) == 0
     out = capsys.readouterr().out
     assert "velocity: to -1 rps (set point" in out
@@ -244,16 +261,16 @@ def test_a_set_point_does_not_leave_the_position_window(tmp_path):
         client = rig.client()
         rig.until("ready", client)
         client.call("enable")
-        client.call("velocity", to_rps=5)
+        client.act("velocity", to_rps=5, run_on=True)
         rig.until("enabled", client)
         (event,) = rig.events("set_point")
         assert "position_window_rev" in event["text"]
         there_rev = client.call("status")["motion"]["position_rev"]
         assert 1.5 < there_rev < 3.0  # about 2.4; the margin is for the ticks that a shared machine skips
-        again = client.call("velocity", to_rps=5, for_s=1)  # taken, and not followed
+        again = client.act("velocity", to_rps=5, for_s=1)  # taken, and not followed
         assert again["state"] == "following"
         rig.until("enabled", client)
-        client.call("velocity", to_rps=-1, for_s=0.5)
+        client.act("velocity", to_rps=-1, for_s=0.5)
         rig.until("enabled", client)
         status = client.call("status")
         assert status["motion"]["position_rev"] < there_rev - 0.2

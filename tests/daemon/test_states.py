@@ -94,6 +94,8 @@ def test_what_raises_the_epoch_and_what_is_bound_to_it():
         *STOPS,
         *RESETS,
         *FALLS,
+        StateEvent.LAPSED,
+        StateEvent.CHARGE,
         StateEvent.ENABLE_TIMEOUT,
         StateEvent.STOP_TIMEOUT,
         StateEvent.STOP_FAILED,
@@ -101,6 +103,8 @@ def test_what_raises_the_epoch_and_what_is_bound_to_it():
     assert {event for event, happening in EVENTS.items() if happening.bound} == {
         StateEvent.ENABLE, StateEvent.START, StateEvent.PREPARED, StateEvent.NOT_PREPARED, StateEvent.SET_POINT,
     }  # fmt: skip
+    # what a client asks for to move the axis has to name its epoch
+    assert {event for event, happening in EVENTS.items() if happening.named} == {StateEvent.START, StateEvent.SET_POINT}
     # motion begins nowhere else
     assert {event for (_, event), row in TABLE.items() if Action.START in row.actions} == {StateEvent.PREPARED}
     assert {event for (_, event), row in TABLE.items() if Action.FOLLOW in row.actions} == {StateEvent.SET_POINT}
@@ -136,12 +140,70 @@ def test_the_model_changes_only_without_torque_and_gains_always():
     assert CHANGES[Change.GAINS] == CHANGES[Change.TOGGLE] == CHANGES[Change.RECORD] == frozenset(State)
 
 
-class Request:
-    """A start, a set point or an enable on its way: asked for, taken, and for a start prepared."""
+WORDS = {
+    **dict.fromkeys((*STOPS, StateEvent.LAPSED, *FALLS), "stopped by pid 7"),
+    **dict.fromkeys(RESETS, "fault reset by pid 7"),
+    StateEvent.CHARGE: "taken over by pid 7",
+    StateEvent.ENABLE_TIMEOUT: "not enabled in time",
+    StateEvent.STOP_TIMEOUT: "stopped by a quick stop: the controlled one took too long",
+    StateEvent.STOP_FAILED: "stopped by a fault: the quick stop took too long",
+}
 
-    def __init__(self, event: StateEvent, epoch: int) -> None:
-        self.event, self.epoch = event, epoch
-        self.outdated = False  # something that ends it has been acknowledged or has happened since
+
+@pytest.mark.parametrize(("state", "event"), [row for row in TABLE if EVENTS[row[1]].raises])
+def test_whatever_withdraws_motion_latches_and_says_who_and_when(state, event):
+    machine = Machine(lambda: 43387.5)  # 12:03:07.5
+    first = machine.epoch.value
+    assert machine.last_stop is None
+    machine.state = state
+    machine.take(event, who="pid 7")
+    assert machine.last_stop == (
+        "pid 7", "1970-01-01T12:03:07.500+00:00", event.value, WORDS[event], machine.epoch.value
+    )  # fmt: skip
+    machine.epoch.advance()  # acknowledged
+    now = machine.epoch.value
+    assert machine.last_stop.epoch == now
+    machine.state = State.ENABLED
+    for asked_in, named in ((None, ""), (first, f", not in {first}")):
+        with pytest.raises(RefusedError) as refused:
+            machine.take(StateEvent.SET_POINT, asked_in, what="velocity")
+        assert str(refused.value) == (
+            f"velocity: {WORDS[event]} at 12:03:07 UTC (epoch {now} has begun): look at the axis, then ask again with "
+            f"epoch {now}{named}"
+        )
+        with pytest.raises(RefusedError, match="start: "):
+            machine.take(StateEvent.START, asked_in)
+    assert machine.state is State.ENABLED
+    machine.take(StateEvent.SET_POINT, now)
+    assert machine.state is State.FOLLOWING
+    with pytest.raises(RefusedError, match=WORDS[event]):  # one request that names it does not revive those without
+        machine.take(StateEvent.SET_POINT)
+
+
+@given(st.floats(0, 2e9), st.integers(0, 1000), st.floats(1.0, 1e9))
+def test_an_epoch_is_not_one_of_an_earlier_daemon(started_s, stops, later_s):
+    earlier = Machine(lambda: started_s)
+    earlier.state = State.ENABLED
+    for _ in range(stops):
+        earlier.take(StateEvent.STOP)
+    later = Machine(lambda: started_s + later_s)
+    later.state = State.ENABLED
+    assert later.epoch.value < 2**53  # whole in JSON
+    if earlier.epoch.value == later.epoch.value:
+        assert stops >= 1000 * later_s - 1  # a thousand in each second of its life
+        return
+    with pytest.raises(RefusedError, match=f"epoch {later.epoch.value} is the first one of this daemon"):
+        later.take(StateEvent.SET_POINT, earlier.epoch.value)
+
+
+class Request:
+    """A start, a set point or an enable on its way: asked for, taken, and for a start prepared.
+
+    `epoch` is None for one that names none, which an enable never is: the server puts in the one of its arrival.
+    """
+
+    def __init__(self, event: StateEvent, epoch: int | None, outdated: bool) -> None:
+        self.event, self.epoch, self.outdated = event, epoch, outdated
 
     def __repr__(self) -> str:
         return f"{self.event}@{self.epoch}"
@@ -152,7 +214,8 @@ class Axis(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.machine = Machine()
+        self.machine = Machine(lambda: 1000.0)
+        self.old_epochs: list[int] = [999_999]  # of a daemon before, and all that have ended
         self.wants_torque = False
         self.moves = False
         self.reset_since_fault = self.enabled_since_fault = True
@@ -191,6 +254,9 @@ class Axis(RuleBasedStateMachine):
             self.moves = False
 
     def outdate(self) -> None:
+        """Everything that was asked for before, and for good everything that names no epoch."""
+        self.old_epochs.append(max(self.old_epochs) + 1)
+        assert self.old_epochs[-1] < self.machine.epoch.value
         for request in (*self.arrived, *self.preparing):
             request.outdated = True
 
@@ -212,7 +278,15 @@ class Axis(RuleBasedStateMachine):
 
     @rule(event=st.sampled_from([StateEvent.ENABLE, StateEvent.START, StateEvent.SET_POINT]))
     def a_request_arrives(self, event: StateEvent) -> None:
-        self.arrived.append(Request(event, self.machine.epoch.value))
+        self.arrived.append(Request(event, self.machine.epoch.value, False))
+
+    @rule(event=st.sampled_from([StateEvent.START, StateEvent.SET_POINT]))
+    def a_request_without_epoch_arrives(self, event: StateEvent) -> None:
+        self.arrived.append(Request(event, None, len(self.old_epochs) > 1))
+
+    @rule(event=st.sampled_from([StateEvent.ENABLE, StateEvent.START, StateEvent.SET_POINT]), data=st.data())
+    def a_request_of_an_earlier_epoch_arrives(self, event: StateEvent, data: st.DataObject) -> None:
+        self.arrived.append(Request(event, data.draw(st.sampled_from(self.old_epochs)), True))
 
     @precondition(lambda self: self.arrived)
     @rule(data=st.data())
@@ -226,6 +300,7 @@ class Axis(RuleBasedStateMachine):
             return
         assert possible
         if request.event is StateEvent.START:
+            request.epoch = self.machine.epoch.value
             self.preparing.append(request)
 
     @precondition(lambda self: self.preparing)

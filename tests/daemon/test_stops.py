@@ -12,12 +12,14 @@ from typing import Any
 
 import pytest
 from daemon.rig import PATIENCE_S, Rig
+from daemon.test_supervisor import stopped
 
 from fffo_drive.daemon import clients, methods, one_client, rpc
 from fffo_drive.daemon.client import CallError, DaemonClient
 from fffo_drive.daemon.clients import ENDING
 from fffo_drive.daemon.one_client import Budget, SocketLimits
 from fffo_drive.daemon.places import CONTROL, WATCH
+from fffo_drive.daemon.watch import STANDSTILL_RPS
 from fffo_drive.drive.simulated.node.objects import OVERCURRENT
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
@@ -46,6 +48,11 @@ def refused(call: Callable[[], Any], *words: str) -> None:
     assert error.value.code == rpc.REFUSED
     for word in words:
         assert word in str(error.value)
+
+
+def present(rig: Rig) -> int:
+    """The epoch, as somebody sees it who is about to act."""
+    return int(rig.do(lambda: rig.supervisor.machine.epoch.value))
 
 
 class Held:
@@ -121,7 +128,7 @@ def enabled(rig: Rig) -> Iterator[DaemonClient]:
 @pytest.mark.parametrize("ending", [["stop"], ["disable"], ["quick_stop"], ["disable", "enable"], ["stop", "stop"]])
 def test_a_start_that_is_being_prepared_ends_with_a_stop(rig, enabled, monkeypatch, profile, ending):
     held, other = Held(monkeypatch), rig.client()
-    outcome = in_thread(lambda: enabled.call("start", profile=profile))
+    outcome = in_thread(lambda: enabled.act("start", profile=profile))
     assert held.begun.wait(PATIENCE_S)
     assert other.call("status")["state"] == "preparing"
     for method in ending:
@@ -135,9 +142,9 @@ def test_a_start_that_is_being_prepared_ends_with_a_stop(rig, enabled, monkeypat
 
 def test_a_second_start_while_one_is_prepared_is_refused_and_the_first_one_runs(rig, enabled, monkeypatch):
     held, other = Held(monkeypatch), rig.client()
-    outcome = in_thread(lambda: enabled.call("start", profile=INLINE))
+    outcome = in_thread(lambda: enabled.act("start", profile=INLINE))
     assert held.begun.wait(PATIENCE_S)
-    refused(lambda: other.call("start", profile="default"), "preparing", "enabled")
+    refused(lambda: other.act("start", profile="default"), "preparing", "enabled")
     held.go_on.set()
     assert outcome()["state"] == "running"
 
@@ -145,22 +152,23 @@ def test_a_second_start_while_one_is_prepared_is_refused_and_the_first_one_runs(
 def test_a_start_by_somebody_who_has_gone_is_not_carried_out(rig, enabled, monkeypatch):
     held = Held(monkeypatch)
     with raw(rig) as sock:
-        sock.sendall(line_of("start", profile="default"))
+        sock.sendall(line_of("start", profile="default", epoch=present(rig)))
         assert held.begun.wait(PATIENCE_S)
     rig.until("enabled")
     held.go_on.set()
-    enabled.call("start", profile={"kind": "points", "points": [[0, 0], [0.1, 0.1], [0.2, 0]]}, wait_s=30)
+    enabled.act("start", profile={"kind": "points", "points": [[0, 0], [0.1, 0.1], [0.2, 0]]}, wait_s=30)
     assert not [event for event in rig.events("command") if event["text"].startswith("start default")]
 
 
-@pytest.mark.parametrize("request_line", [line_of("start", profile="default"), line_of("enable", wait_s=0)])
-def test_what_lies_in_a_socket_when_a_stop_is_acknowledged_is_older_than_it(rig, enabled, request_line):
+@pytest.mark.parametrize(("method", "given"), [("start", {"profile": "default"}), ("enable", {"wait_s": 0})])
+def test_what_lies_in_a_socket_when_a_stop_is_acknowledged_is_older_than_it(rig, enabled, method, given):
+    epoch = {"epoch": present(rig)} if method == "start" else {}
     with raw(rig) as starter, raw(rig) as stopper:
         starter.sendall(line_of("status"))
         next(answers(starter))
         with standing_still(rig):
-            stopper.sendall(line_of("disable" if b"enable" in request_line else "stop"))
-            starter.sendall(request_line)
+            stopper.sendall(line_of("disable" if method == "enable" else "stop"))
+            starter.sendall(line_of(method, **given, **epoch))
         stopped, started = next(answers(stopper)), next(answers(starter))
         assert stopped["result"]["reached"]
         assert started["error"]["code"] == rpc.REFUSED
@@ -172,7 +180,8 @@ def test_what_lies_in_a_socket_when_a_stop_is_acknowledged_is_older_than_it(rig,
 def test_a_start_behind_other_requests_of_its_client_is_older_than_a_stop_that_overtook_it(rig, enabled):
     with raw(rig) as starter:
         with standing_still(rig):
-            starter.sendall(line_of("info", 1) * 20 + line_of("start", 2, profile="default") + line_of("stop", 3))
+            start = line_of("start", 2, profile="default", epoch=present(rig))
+            starter.sendall(line_of("info", 1) * 20 + start + line_of("stop", 3))
         found = answers(starter)
         outcome = {}
         while {2, 3} - outcome.keys():
@@ -185,11 +194,11 @@ def test_a_start_behind_other_requests_of_its_client_is_older_than_a_stop_that_o
 def test_an_epoch_that_a_client_has_seen_binds_its_start(rig, enabled):
     seen = rig.client(watching=True).call("status")["epoch"]
     rig.client().call("stop")
-    refused(lambda: enabled.call("start", profile="default", epoch=seen), "epoch", str(seen))
+    refused(lambda: enabled.act("start", profile="default", epoch=seen), "epoch", str(seen))
     refused(lambda: enabled.call("enable", epoch=seen), "epoch")
     now = enabled.call("status")["epoch"]
     assert now > seen
-    assert enabled.call("start", profile="default", epoch=now)["state"] == "running"
+    assert enabled.act("start", profile="default", epoch=now)["state"] == "running"
 
 
 def test_a_stop_overtakes_five_hundred_requests_of_its_own_client(rig):
@@ -251,7 +260,8 @@ def test_stops_without_a_pause_are_one_stop_for_the_supervisor_and_all_are_answe
 
 
 def test_a_stop_in_a_batch_ends_what_was_sent_before_it_too(rig, enabled):
-    batch = [json.loads(line_of("stop", 1)), json.loads(line_of("start", 2, profile="default"))]
+    start = line_of("start", 2, profile="default", epoch=present(rig))
+    batch = [json.loads(line_of("stop", 1)), json.loads(start)]
     with raw(rig) as sock:
         sock.sendall(json.dumps(batch).encode() + b"\n")
         stopped, started = next(answers(sock))
@@ -302,6 +312,187 @@ def test_who_comes_to_be_in_charge_or_goes_begins_an_epoch(rig):
         held = other.call("status")
         assert held["held_by"] is not None
         assert held["epoch"] > before
-        refused(lambda: other.call("start", profile="default", epoch=before), "epoch")
+        refused(lambda: other.act("start", profile="default", epoch=before), "epoch")
     rig.until("ready")  # the axis hung on the connection: daemon.client_loss
     assert other.call("status")["epoch"] > held["epoch"]
+
+
+# -- a stop latches ----------------------------------------------------------------------------------------------------
+
+STREAM = {"to_rps": 2.0}
+
+
+class Stream:
+    """A client that sends set points without a pause, on one connection or a new one each time, whatever it hears."""
+
+    def __init__(self, rig: Rig, new_connections: bool, **given: Any) -> None:
+        self._rig, self._new, self._given = rig, new_connections, given
+        self._end, self.answered = threading.Event(), threading.Semaphore(0)
+        self.said: list[str] = []  # why it was refused
+        self.taken = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        with ExitStack() as held:
+            client = held.enter_context(DaemonClient(self._rig.sockets / CONTROL, PATIENCE_S))
+            while not self._end.is_set():
+                if self._new:
+                    client.close()
+                    client = held.enter_context(DaemonClient(self._rig.sockets / CONTROL, PATIENCE_S))
+                try:
+                    client.call("velocity", **STREAM, **self._given)
+                    self.taken += 1
+                except CallError as error:
+                    self.said.append(str(error))
+                self.answered.release()
+
+    def __enter__(self) -> Stream:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(PATIENCE_S)
+
+    def answer_more(self, count: int) -> None:
+        """Wait for so many answers to what it sends from now on."""
+        while self.answered.acquire(blocking=False):
+            pass
+        for _ in range(count + 1):
+            assert self.answered.acquire(timeout=PATIENCE_S)
+
+
+def rests(rig: Rig, client: DaemonClient, *streams: Stream) -> None:
+    """Set points went on coming, and were refused; the shaft stands still by its feedback."""
+    for stream in streams:
+        stream.answer_more(20)
+    status = client.call("status")
+    assert status["state"] == "enabled"
+    assert status["motion"]["reference_rps"] == 0.0
+    assert abs(rig.do(lambda: rig.supervisor.shaft).velocity_rps) < 2 * STANDSTILL_RPS
+
+
+@pytest.mark.parametrize("named", [False, True], ids=["unnamed", "named"])
+@pytest.mark.parametrize("new_connections", [False, True], ids=["one connection", "a connection each"])
+def test_a_stream_of_set_points_ends_with_a_stop_and_nothing_revives_it(tmp_path, new_connections, named):
+    with Rig(tmp_path, clients=64) as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        given = {"epoch": present(rig)} if named else {}
+        with Stream(rig, new_connections, **given) as stream, Stream(rig, new_connections, **given) as other:
+            rig.until_status(lambda status: (status["motion"] or {"velocity_rps": 0.0})["velocity_rps"] > 1.0, client)
+            answer = client.call("stop", who="anna (stop)", wait_s=PATIENCE_S)
+            assert stopped(answer) == "enabled"
+            rests(rig, client, stream, other)
+            assert "velocity: stopped by anna (stop) through pid" in stream.said[-1]
+            assert f"ask again with epoch {answer['epoch']}" in stream.said[-1]
+            # neither somebody else's deliberate act ...
+            client.act("velocity", to_rps=0.5, for_s=0.1)
+            rig.until("enabled", client)
+            rests(rig, client, stream, other)
+            # ... nor a stop that nobody waits for, a disable and an enable revive it
+            client.act("velocity", to_rps=2.0, run_on=True)
+            at_once = client.call("stop", wait_s=0)
+            assert not at_once["reached"]
+            rig.until("enabled", client)
+            client.call("disable", wait_s=PATIENCE_S)
+            client.call("enable", wait_s=PATIENCE_S)
+            taken = stream.taken + other.taken
+            rests(rig, client, stream, other)
+            assert stream.taken + other.taken == taken
+
+
+def test_the_epoch_of_an_earlier_daemon_moves_nothing(tmp_path):
+    with Rig(tmp_path / "1") as rig:
+        earlier = rig.client().call("status")["epoch"]
+    with Rig(tmp_path / "2") as rig:
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("enable")
+        assert client.call("status")["last_stop"] is None
+        refused(
+            lambda: client.call("velocity", **STREAM, epoch=earlier), "first one of this daemon", f"not in {earlier}"
+        )
+        assert (
+            client.call("velocity", **STREAM)["state"] == "following"
+        )  # on the first day nobody has to know of epochs
+
+
+def test_a_set_point_whose_client_is_silent_ends_as_by_a_stop_of_it(rig, enabled):
+    with Stream(rig, False, epoch=present(rig)) as stream:  # none of them is renewed: each is a new one
+        stream.answer_more(5)
+        rig.until("following")
+    event = rig.until_status(lambda status: (status["last_stop"] or {"kind": ""})["kind"] == "lapsed")["last_stop"]
+    assert event["text"].startswith("stopped by a velocity of pid")
+    rig.until("enabled")
+    with Stream(rig, False, epoch=event["epoch"] - 1) as stream:  # frozen, and now goes on
+        rests(rig, enabled, stream)
+        assert "that was not renewed within 0.5 s" in stream.said[-1]
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"for_s": 1e-308}, "for_s: a number from 0.01 to 600"), ({"for_s": 0}, "for_s: a number from 0.01 to 600"),
+        ({"for_s": 1, "run_on": True}, "give one of renews, for_s and run_on"),
+        ({"renews": 1, "run_on": True}, "give one of renews, for_s and run_on"),
+        ({"wait_s": 5}, "wait_s needs for_s or run_on"),
+    ],
+)  # fmt: skip
+def test_how_long_a_set_point_lives_is_said_in_one_way(rig, given, word):
+    with pytest.raises(CallError) as error:
+        rig.client().call("velocity", to_rps=1.0, **given)
+    assert error.value.code == rpc.INVALID_PARAMS
+    assert str(error.value).startswith(word)
+
+
+def test_a_step_for_a_time_goes_back_to_what_may_run_on_and_to_nothing_else(rig, enabled):
+    enabled.act("velocity", to_rps=1.0, run_on=True, wait_s=PATIENCE_S)
+    enabled.act("step", by_rps=0.5, for_s=0.1)
+    rig.until_status(lambda status: status["motion"]["reference_rps"] == 1.0 and status["set_point"]["lapsed"])
+    enabled.act("velocity", to_rps=1.0, for_s=60, wait_s=PATIENCE_S)
+    enabled.act("step", by_rps=0.5, for_s=0.1)  # takes the place of the sixty seconds too
+    rig.until("enabled")
+
+
+@pytest.mark.parametrize(("silent", "word"), [(True, "which does not answer"), (False, "is gone")])
+def test_whoever_holds_the_axis_has_to_be_heard(tmp_path, silent, word):
+    """A client that is frozen is a connection that says nothing; one that lives says an empty line now and then."""
+    with Rig(tmp_path, client_silence_s=0.5) as rig:
+        holder, watcher = rig.client(), rig.client(watching=True)
+        rig.until("ready", watcher)
+        epoch = holder.call("enable", hold=True)["epoch"]
+        holder.call("velocity", to_rps=2.0, run_on=True, epoch=epoch)
+        holder.call("subscribe", status_hz=50)
+        status = {"state": "", "state_s": 0.0}
+        while not (status["state"] == "following" and status["state_s"] > 1.5):  # thrice the limit, and the axis turns
+            status = holder.next_notification(PATIENCE_S).get("params", {"state": ""})
+            status = status if "state_s" in status else {"state": "", "state_s": 0.0}
+        if not silent:
+            holder.close()
+        rig.until("ready", watcher)
+        (event,) = [event for event in rig.events("client") if "the axis" in event["text"]]
+        assert word in event["text"]
+        status = watcher.call("status")
+        assert status["held_by"] is None
+        assert status["last_stop"]["who"] == f"daemon.client_loss ({event['text'].rpartition(':')[0]})"
+
+
+def test_a_stop_says_what_it_sees(rig, enabled):
+    enabled.act("velocity", to_rps=2.0, run_on=True, wait_s=PATIENCE_S)
+    rig.until_status(lambda status: status["motion"]["velocity_rps"] > 1.0)
+    answer = enabled.call("stop", wait_s=0)
+    assert (answer["reached"], answer["at_rest"]) == (False, False)
+    assert answer["velocity_rps"] == pytest.approx(2.0, abs=1.0)
+    assert stopped(enabled.call("stop", wait_s=PATIENCE_S)) == "enabled"
+
+
+def test_who_takes_charge_while_a_start_is_prepared_ends_it(rig, enabled, monkeypatch):
+    held, other = Held(monkeypatch), rig.client()
+    outcome = in_thread(lambda: enabled.act("start", profile=INLINE))
+    assert held.begun.wait(PATIENCE_S)
+    other.call("enable", hold=True)
+    held.go_on.set()
+    refused(outcome, "start: taken over by pid")
+    assert enabled.call("status")["state"] == "enabled"

@@ -15,6 +15,7 @@ from fffo_drive.daemon.client import CallError
 from fffo_drive.daemon.connection import leave
 from fffo_drive.daemon.rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED
 from fffo_drive.daemon.states import State
+from fffo_drive.daemon.watch import STANDSTILL_RPS
 from fffo_drive.drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.drive.simulated.node.objects import OVERCURRENT
@@ -43,24 +44,32 @@ def reached(answer):
     return answer["state"]
 
 
+def stopped(answer):
+    """The state that a stop says it ended in, with an axis that was seen at rest."""
+    assert answer.keys() == {"state", "reached", "epoch", "velocity_rps", "at_rest"}
+    assert answer["reached"] is answer["at_rest"] is True
+    assert abs(answer["velocity_rps"]) < STANDSTILL_RPS
+    return answer["state"]
+
+
 def test_from_offline_to_a_profile_and_back(tmp_path):
     with Rig(tmp_path) as rig:
         client = rig.client()
         status = rig.until("ready", client)
         assert status["drive"]["state"] == "switch on disabled"
         assert client.call("info")["protocol"] == 1
-        refused(lambda: client.call("start", profile="default"), "start", "ready", "enabled")
+        refused(lambda: client.act("start", profile="default"), "start", "ready", "enabled")
         assert reached(client.call("enable")) == "enabled"
         assert client.call("status")["drive"]["state"] == "operation enabled"
         assert client.call("record", to="on")["on"]
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
-        assert reached(client.call("stop")) == "enabled"
-        client.call("start", profile={"kind": "points", "points": [[0, 0], [0.2, 1], [0.4, 0]]}, wait_s=30)
+        assert stopped(client.call("stop")) == "enabled"
+        client.act("start", profile={"kind": "points", "points": [[0, 0], [0.2, 1], [0.4, 0]]}, wait_s=30)
         assert client.call("status")["state"] == "enabled"
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, client)
-        assert reached(client.call("disable")) == "ready"
+        assert stopped(client.call("disable")) == "ready"
         (file,) = client.call("record", to="off")["files"]
         assert rig.node is not None
         assert not any(rig.node.plant.torque_seen[-3:])
@@ -93,7 +102,7 @@ def test_gains_and_toggle_change_while_a_profile_runs_and_the_model_does_not(tmp
         client = rig.client()
         rig.until("ready", client)
         client.call("enable")
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         key = "controller.proportional_a_per_rps"
         before = rig.do(lambda: rig.supervisor.connection.session.status(b.PARAMETERS_IN_USE))
         assert client.call("set", key=key, value=0.9) == {"key": key, "value": 0.9}
@@ -133,7 +142,7 @@ def test_a_fault_of_the_drive_latches_until_it_is_reset_and_enabled_again(tmp_pa
         status = rig.until("fault", client)
         assert status["fault"]["name"] in ("drive_fault", "emergency")
         refused(lambda: client.call("enable"), "fault")
-        refused(lambda: client.call("start", profile="default"), "fault")
+        refused(lambda: client.act("start", profile="default"), "fault")
         refused(lambda: client.call("reset_fault", wait_s=5), "fault", code=NOT_REACHED)  # its cause is still there
         rig.node.tell(lambda node: node.drive.injected.clear())
         assert reached(client.call("reset_fault")) == "ready"
@@ -180,7 +189,7 @@ def test_who_holds_the_axis_and_goes_away_does_not_leave_it_moving_unless_told_s
         refused(lambda: watcher.call("enable"), "hold")
         holder = rig.client()
         holder.call("enable", hold=True)
-        holder.call("start", profile="default")
+        holder.act("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > RATE_SAMPLES, watcher)
         assert "pid" in watcher.call("status")["held_by"]
         holder.close()
@@ -273,7 +282,7 @@ def test_a_reload_applies_what_it_can_and_names_what_needs_a_restart(tmp_path):
         assert info["rate_hz"] == 500
         assert info["keys"]["controller.proportional_a_per_rps"] == 0.9
         assert client.call("status")["toggle"] == "off"
-        client.call("start", profile="gentle", wait_s=60)
+        client.act("start", profile="gentle", wait_s=60)
         rig.path.write_text("rubbish: [")
         refused(lambda: client.call("reload"), "axis.yaml", code=BAD_DOCUMENT)
         assert client.call("status")["state"] == "enabled"
@@ -325,7 +334,7 @@ def test_what_is_recorded_gets_a_record_in_the_fleets_store(tmp_path):
         rig.until("ready", client)
         client.call("record", to="on")
         client.call("enable")
-        client.call("start", profile="default")
+        client.act("start", profile="default")
         rig.until_status(lambda s: s["profile"] and s["profile"]["sample"] > 4 * RATE_HZ, client)
         client.call("disable")
         (file,) = client.call("record", to="off")["files"]

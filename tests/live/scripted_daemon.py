@@ -40,7 +40,7 @@ class Refusal(NamedTuple):
 class ScriptedDaemon:
     """`answers` may be changed while it runs, and one may be a function.
 
-    `lines` is what came, `ended` are the connections that were closed.
+    `lines` is what came, `ended` are the connections that were closed, `signs_of_life` those of empty lines.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -48,6 +48,7 @@ class ScriptedDaemon:
         self.answers = dict(ANSWERS)
         self.lines: list[Line] = []
         self.ended: list[int] = []
+        self.signs_of_life: list[int] = []
         self._connections = 0
         self._opened = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._live()), daemon=True)
@@ -77,6 +78,9 @@ class ScriptedDaemon:
         self._connections += 1
         number = self._connections
         while line := await reader.readline():
+            if not line.strip():
+                self.signs_of_life.append(number)
+                continue
             request = json.loads(line)
             self.lines.append(Line(number, request["method"], request["params"]))
             answer = self.answers.get(request["method"], {})

@@ -52,7 +52,8 @@ class Served:
         axis["controller"] |= GENTLE
         axis["controller"]["observer"]["gain_nm_per_rev"] = 0.1
         axis["profile"] = SINE
-        axis["daemon"]["set_points"] = {"jog_timeout_s": 5}  # a page on a machine without time renews it in time
+        # a page on a machine without time renews a jog in time, and is heard
+        axis["daemon"] |= {"set_points": {"jog_timeout_s": 5}, "client_silence_s": 20}
 
     def __enter__(self) -> Served:
         self._drive.__enter__()
@@ -128,7 +129,7 @@ class Served:
         """The sine runs."""
         self.rest()
         self.client.call("enable")
-        self.client.call("start", profile="default")
+        self.client.act("start", profile="default")
 
     def break_down(self) -> None:
         """An emergency message in the drive's name: overcurrent."""

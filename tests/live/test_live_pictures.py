@@ -42,7 +42,7 @@ def page(served, chromium):
 def run(served, profile):
     served.rest()
     served.client.call("enable")
-    served.client.call("start", profile=profile)
+    served.client.act("start", profile=profile)
 
 
 def choose(page, name, key):

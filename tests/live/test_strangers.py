@@ -238,14 +238,26 @@ def test_epochs_are_passed_through(scope):
     viewer.close()
 
 
-@pytest.mark.parametrize(("asked", "plain"), [({"epoch": 6}, True), ({"epoch": 7}, False), ({}, False)])
-def test_a_start_of_an_epoch_that_is_over_is_refused_plainly(scope, asked, plain):
+def test_a_start_of_an_epoch_that_is_over_is_refused_in_the_words_of_the_daemon(scope):
     page = scope.open(key=True)
-    scope.rig.answers["start"] = Refusal(-32000, "the daemon's words")
-    say(page, do="call", method="start", params={"profile": "default", **asked}, id=1)
-    error = hear(page, "answer")["error"]
-    assert ("was stopped since" in error) == plain
-    assert "the daemon's words" in error
+    scope.rig.answers["start"] = Refusal(-32000, "start: stopped by anna")
+    say(page, do="call", method="start", params={"profile": "default", "epoch": 6}, id=1)
+    assert hear(page, "answer")["error"] == "start: stopped by anna"
+
+
+def test_whoever_holds_the_axis_is_heard_by_the_daemon_as_long_as_it_lives(scope):
+    page, viewer = scope.open(key=True), viewer_of(scope)
+    say(page, do="here")  # it does not hold anything
+    say(page, do="call", method="enable", params={"hold": True}, id=1)
+    hear(page, "answer")
+    viewer.call("/fffo_drive/enable", {"key": scope.server.key, "hold": True})
+    by_page, by_viewer = (line.connection for line in scope.rig.asked("enable"))
+    assert scope.rig.signs_of_life == []
+    say(page, do="here")
+    scope.until(lambda: scope.rig.signs_of_life == [by_page])
+    viewer.call("/fffo_drive/status", {})
+    scope.until(lambda: scope.rig.signs_of_life == [by_page, by_viewer])
+    viewer.close()
 
 
 def test_a_stop_is_carried_out_though_its_viewer_is_gone(scope):

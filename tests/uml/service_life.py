@@ -128,7 +128,7 @@ def set_running(api: DaemonClient) -> None:
     """Enable, and start the profile of the file."""
     until_state(api, "ready")
     api.call("enable", wait_s=PATIENCE_S)
-    api.call("start", profile="default")
+    api.act("start", profile="default")
     until("ticks of the profile", lambda: (api.call("status")["profile"] or {}).get("sample", 0) > 20)
 
 

@@ -59,12 +59,12 @@ class AxisPage(Shown):
     def press(self, button, so, key=None):
         """A jog button is held, by the mouse or by this key, until `so`; again where the jog lapsed under load."""
         for _ in range(MOST_LAPSES):
-            self.until(f"!fffoAxis.jogging && !document.querySelector('{button}').disabled")
+            self.until(f"!fffoAxis.turning && !document.querySelector('{button}').disabled")
             self.page.evaluate("document.querySelector('#axis-said').textContent = ''")
             self._down(button, key)
             try:
                 assert self.page.text_content("#axis-said").startswith("Jog"), "the page did not take the press"
-                if self.until(f"fffoAxis.status && ({so}) ? 'so' : !fffoAxis.jogging && 'over'") == "so":
+                if self.until(f"fffoAxis.status && ({so}) ? 'so' : !fffoAxis.turning && 'over'") == "so":
                     yield
                     return
             finally:
@@ -152,7 +152,7 @@ def test_a_jog_that_is_let_go_brakes_at_once_and_a_press_while_it_brakes_is_not_
     shown.page.keyboard.down("Space")  # the button has the focus
     shown.until("window.sent.filter((jog) => jog.to_rps).length === 2")
     shown.page.keyboard.up("Space")
-    shown.until("!fffoAxis.jogging")
+    shown.until("!fffoAxis.turning")
     assert shown.page.evaluate("window.sent.map((jog) => jog.to_rps)") == [1, 0, 1, 0]
 
 
@@ -171,7 +171,7 @@ def test_nothing_moves_before_the_drive_has_torque_and_a_held_button_that_is_gre
         assert ("no torque yet" in shown.page.text_content("#axis-doing")) is not moves
     shown.page.locator("#jog-ahead").hover()
     shown.page.mouse.down()
-    assert shown.page.evaluate("fffoAxis.jogging !== null")
+    assert shown.page.evaluate("fffoAxis.turning !== null")
     shown.page.evaluate("fffoAxis.heardMs = -1e9")  # no status any more
     shown.says("Jog ended at standstill: no status of it comes")
     shown.page.mouse.up()
@@ -218,9 +218,21 @@ def test_set_points_and_a_profile_and_its_end(shown):
     shown.enable()
     shown.page.fill("#velocity", "1.5")
     shown.page.click("#go")
-    shown.until("fffoAxis.status.set_point && fffoAxis.status.set_point.to_rps === 1.5")
+    turns = "fffoAxis.status.set_point"
+    shown.until(f"{turns} && {turns}.to_rps === 1.5 && !{turns}.run_on")
+    first = shown.page.evaluate("fffoAxis.status.set_point.number")
+    shown.page.fill("#velocity", "1.25")
+    shown.page.click("#go")  # in motion
+    shown.until(f"{turns} && {turns}.to_rps === 1.25 && {turns}.number > {first} + 1")  # and the page renews it
+    shown.served.client.call("stop")
+    shown.says("Velocity: stopped by pid")
+    shown.state("enabled")
+    shown.page.check("#run-on")
+    shown.page.fill("#velocity", "1.5")
+    shown.page.click("#go")
+    shown.until(f"{turns} && {turns}.to_rps === 1.5 && {turns}.run_on")
     shown.page.fill("#step-by", "0.5")
-    shown.page.fill("#step-for", "0")
+    shown.page.fill("#step-for", "60")
     shown.page.click("#step")
     shown.until("fffoAxis.status.set_point && fffoAxis.status.set_point.to_rps === 2")
     shown.page.click("#end")

@@ -26,7 +26,7 @@ SERIOUS = ("serious", "critical")
 PAGE_TEXT = """(() => {
   const text = (id) => document.getElementById(id).textContent;
   const places = ["connection", "axis-said", "axis-link", "axis-fault", "axis-obstacles", "said", "ask-text"];
-  return JSON.stringify({ axis: fffoAxis.status, jogging: Boolean(fffoAxis.jogging),
+  return JSON.stringify({ axis: fffoAxis.status, jogging: Boolean(fffoAxis.turning),
     says: Object.fromEntries(places.filter(text).map((id) => [id, text(id)])),
     job: fffoWorkbench.state && fffoWorkbench.state.jobs[0] }, null, 1);
 })()"""

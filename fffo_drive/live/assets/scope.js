@@ -109,6 +109,7 @@
 
   function status(s) {
     link.heardMs = performance.now();
+    wire.here();
     tellLink();
     if (scope.unconfirmed && AT_REST.includes(s.state)) {
       scope.unconfirmed = false;
@@ -444,7 +445,7 @@
     const own = ++scope.asked; // an answer to what was asked for before comes too late for the line
     say(`${text} …`);
     const answer = await wire.call(method, params || {});
-    if (own === scope.asked) say(answer.error ? `${text}: ${answer.error}` : `${text}: done`, Boolean(answer.error));
+    if (own === scope.asked) say(answer.error ? `${text}: ${answer.error.replace(`${method}: `, "")}` : `${text}: done`, Boolean(answer.error));
   }
 
   // commands that give torque or motion name their epoch: they are refused after a stop not yet shown here

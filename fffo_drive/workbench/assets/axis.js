@@ -4,8 +4,8 @@
 (() => {
   const bench = window.fffoWorkbench, $ = bench.$;
   const AT_REST = ["offline", "connected", "ready", "fault"], TORQUE = ["enabled", "following"];
-  const STALE_MS = 2500, STOP_ANSWER_MS = 3000, HERE_MS = 1000, RENEWED_SHARE = 0.25, SHOWN_EVENTS = 30;
-  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, speaker: 0, stops: 0, jogging: null, trial: 0, gains: "" };
+  const STALE_MS = 2500, STOP_ANSWER_MS = 3000, HERE_MS = 180, RENEWED_SHARE = 0.25, SHOWN_EVENTS = 30;
+  const axis = { source: null, page: "", info: null, status: null, heardMs: -Infinity, hereMs: 0, unconfirmed: false, stopping: false, speaker: 0, stops: 0, turning: null, trial: 0, gains: "" };
   window.fffoAxis = axis; // for tests
 
   const fresh = () => axis.status !== null && performance.now() - axis.heardMs < STALE_MS;
@@ -90,6 +90,7 @@
     document.body.dataset.axis = s.state;
     const running = s.profile ? `: ${s.profile.name}, ${Math.max(0, 100 * s.profile.sample / Math.max(1, s.profile.samples)).toFixed(0)} %` : s.set_point ? `: ${s.set_point.kind} to ${s.set_point.to_rps.toPrecision(3)} rps` : "";
     $("axis-state").textContent = s.state.toUpperCase();
+    $("axis-stop").textContent = s.last_stop ? `${s.last_stop.text} at ${s.last_stop.at.slice(11, 19)} UTC` : "";
     $("axis-doing").textContent = s.state === "enabled" && !acts(s) ? ": no torque yet" : running;
     $("axis-fault").hidden = !s.fault;
     if (s.fault) $("axis-fault").textContent = `Fault: ${s.fault.text} (${s.fault.name}). Remove the cause, then reset it.`;
@@ -144,13 +145,14 @@
 
   // what is asked for
 
+  const said = (error, method) => error.message.replace(`${method}: `, ""); // the line names it already
   async function command(text, method, wish) {
     const line = speaker();
     line.say(`${text} …`);
     try {
       const { result } = await send(method, wish);
       line.say(`${text}: ${result.reached === false ? "asked for" : "done"}`);
-    } catch (error) { line.say(`${text}: ${error.message}`, true); }
+    } catch (error) { line.say(`${text}: ${said(error, method)}`, true); }
   }
 
   async function halt(method) {
@@ -183,7 +185,12 @@
   $("end").onclick = () => command("End the motion", "stop", { wait_s: 0 });
   $("reset").onclick = () => command("Reset the fault", "reset_fault", { wait_s: 0 });
   $("start").onclick = () => asked(`run the profile ${$("start-profile").value}`, () => command(`Start ${$("start-profile").value}`, "start", { profile: $("start-profile").value, ...epoch() }));
-  $("go").onclick = () => command(`Velocity ${number("velocity")} rps`, "velocity", { to_rps: number("velocity"), ...epoch() });
+  $("go").onclick = () => {
+    const to_rps = number("velocity");
+    if (to_rps !== 0 && !$("run-on").checked) { turn("Velocity", "velocity", to_rps); return; }
+    release();
+    command(`Velocity ${to_rps} rps`, "velocity", { to_rps, run_on: true, ...epoch() });
+  };
   $("step").onclick = () => command(`Step by ${number("step-by")} rps`, "step", { by_rps: number("step-by"), for_s: number("step-for"), ...epoch() });
   const service = (what, wish) => bench.ask(what, wish).then(() => say(""), (error) => say(error.message, true)).then(bench.look);
   $("serve").onclick = () => service("serve", {});
@@ -199,46 +206,50 @@
     if (!e.repeat) stop();
   });
 
-  // jog: as long as a button or a key is held, renewed in time; let go, hidden or gone it ends at standstill, and without
-  // a word of the page the daemon brakes by itself
+  // a set point lives on a lease: the page renews a jog as long as a button or a key is held, a velocity as long as the
+  // page is shown; let go, hidden or gone it ends at standstill, and without a word of the page the daemon brakes by
+  // itself. What renews it names the epoch that was shown when it was asked for: no renewal undoes a stop
 
-  function release(why) { if (axis.jogging && axis.jogging.held) axis.jogging.release(typeof why === "string" ? why : ""); }
+  function release(why) { if (axis.turning && axis.turning.held) axis.turning.release(typeof why === "string" ? why : ""); }
+  function letGo() { if (axis.turning && axis.turning.method === "jog") release(); }
 
-  async function jog(direction) {
-    if (axis.jogging && axis.jogging.held) return; // one hand
-    const before = axis.jogging, own = axis.jogging = { held: true };
+  async function turn(name, method, to_rps) {
+    const before = axis.turning;
+    if (before && before.held && before.method === method) { if (method === "velocity") before.to_rps = to_rps; return; } // one hand
+    release();
+    const own = axis.turning = { held: true, name, method, to_rps, ...epoch() };
     const released = new Promise((done) => { own.release = (why) => { Object.assign(own, { held: false, why }); done(); }; });
-    own.over = (before ? before.over : Promise.resolve()).then(() => turn(direction, own, released)); // pressed again while it brakes
+    own.over = (before ? before.over : Promise.resolve()).then(() => renew(own, released)); // pressed again while it brakes
     await own.over;
-    if (axis.jogging === own) axis.jogging = null;
+    if (axis.turning === own) axis.turning = null;
   }
 
-  async function turn(direction, own, released) {
-    const to_rps = direction * Math.abs(number("jog-rps"));
+  async function renew(own, released) {
     let last = null;
     if (!own.held) return;
     const line = speaker();
-    line.say(`Jog ${to_rps} rps …`);
+    line.say(`${own.name} ${own.to_rps} rps …`);
     try {
       if (!fresh()) throw new Error("the state of the axis is not known: nothing was asked for");
       while (own.held) {
-        last = (await send("jog", { to_rps, ...(last ? { renews: last.set_point, epoch: last.epoch } : epoch()) })).result;
-        await Promise.race([released, new Promise((done) => setTimeout(done, 1000 * RENEWED_SHARE * last.renew_within_s))]);
+        last = (await send(own.method, { to_rps: own.to_rps, epoch: own.epoch, ...(last && last.renew_within_s ? { renews: last.set_point } : {}) })).result; // a jog at 0 needs no renewal
+        await Promise.race([released, new Promise((done) => setTimeout(done, 1000 * RENEWED_SHARE * (last.renew_within_s || 1)))]);
       }
-      await send("jog", { to_rps: 0, renews: last.set_point, epoch: last.epoch });
-      line.say(`Jog ended at standstill${own.why}`, Boolean(own.why));
-    } catch (error) { line.say(`Jog: ${error.message}`, true); }
+      await send("jog", { to_rps: 0, epoch: own.epoch, ...(last.renew_within_s ? { renews: last.set_point } : {}) });
+      line.say(`${own.name} ended at standstill${own.why}`, Boolean(own.why));
+    } catch (error) { line.say(`${own.name}: ${said(error, own.method)}`, true); }
     own.release("");
   }
 
+  const jog = (direction) => turn("Jog", "jog", direction * Math.abs(number("jog-rps")));
   for (const [id, direction] of [["jog-back", -1], ["jog-ahead", 1]]) {
     const button = $(id);
     button.onpointerdown = (e) => { if (e.button === 0) { button.setPointerCapture(e.pointerId); jog(direction); } };
-    for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "blur", "contextmenu"]) button.addEventListener(kind, release);
+    for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "blur", "contextmenu"]) button.addEventListener(kind, letGo);
     button.onkeydown = (e) => { if ((e.key === " " || e.key === "Enter") && !e.repeat) { e.preventDefault(); jog(direction); } };
-    button.onkeyup = (e) => { if (e.key === " " || e.key === "Enter") { e.preventDefault(); release(); } };
+    button.onkeyup = (e) => { if (e.key === " " || e.key === "Enter") { e.preventDefault(); letGo(); } };
   }
-  addEventListener("blur", release);
+  addEventListener("blur", letGo);
   addEventListener("pagehide", release);
   document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
 
