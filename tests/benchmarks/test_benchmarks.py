@@ -140,6 +140,10 @@ def test_nothing_moves_after_a_stop_on_any_way_and_hostile_clients_end_no_motion
     facts = sample("stops", "--races")
     assert facts["races of a start with a stop that was acknowledged"] > 12
     assert facts["of them, the axis moved or ran afterwards"] == 0, facts["wrong"]
+    facts = sample("attacks", "--only", "motion_after_stop")
+    assert facts["motion after a stop: motions after an acknowledged stop"] == 0, facts
+    assert facts["motion after a stop: races"] > 20
+    assert sum(int(row["requests refused"]) for row in facts["motion after a stop"]) > 100
     facts = sample("stops")
     assert "abandoned" not in facts["faults"]
     facts = sample("hostile")

@@ -83,6 +83,16 @@ class Line(NamedTuple):
     met: bool | None  # None without a target
 
 
+class Section(NamedTuple):
+    """A part of a report that has a table of its own."""
+
+    name: str
+    figures: list[tuple[str, float, str, float | None]]  # what, value, unit, largest one allowed
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    notes: list[str]
+
+
 @dataclass
 class Report:
     """What a benchmark found."""
@@ -115,6 +125,15 @@ class Report:
         """A table below the figures."""
         lines = [header, ["---"] * len(header), *rows]
         self.tables.append("\n".join(f"| {' | '.join(cells)} |" for cells in lines))
+
+    def add(self, section: Section) -> None:
+        """A section: its figures, its table, and what is to be said of it."""
+        for what, value, unit, target in section.figures:
+            self.figure(f"{section.name}: {what}", value, unit, target, digits=4)
+        self.tables.append(f"## {section.name.capitalize()}")
+        self.table(section.header, section.rows)
+        self.tables.append("\n".join(f"- {note}" for note in section.notes))
+        self.facts[section.name] = [dict(zip(section.header, row, strict=True)) for row in section.rows]
 
     @property
     def missed(self) -> list[str]:

@@ -52,7 +52,7 @@ def one_thing(daemon: Daemon, client: DaemonClient, draw: random.Random) -> str:
                 sock.sendall(b'{"jsonrpc": "2.0", "id": 1, "method": "status"}\n')
     elif what == "run":
         client.call("enable")
-        client.call("start", profile={"kind": "sine", "duration_s": 2, "amplitude": 1, "frequency_hz": 1})
+        client.act("start", profile={"kind": "sine", "duration_s": 2, "amplitude": 1, "frequency_hz": 1})
     elif what == "set":
         client.call("set", key=KEY, value=round(draw.uniform(0.8, 1.0), 3))
     elif what == "fault":

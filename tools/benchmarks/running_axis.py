@@ -54,4 +54,4 @@ class Axis:
         if status["state"] != "running":
             if self.client.call("status")["state"] != "enabled":
                 self.client.call("enable")
-            self.client.call("start", profile="default")
+            self.client.act("start", profile="default")
