@@ -65,18 +65,18 @@
   }
 
   function hear(message) {
+    if (message.kind === "hello") axis.page = message.page;
+    if (message.kind === "hello" || performance.now() - axis.hereMs > HERE_MS) { // on what comes, not by a timer: a hidden page's timers may sleep for minutes
+      axis.hereMs = performance.now();
+      if (axis.page) send("here", { page: axis.page }).catch(() => {});
+    }
     if (message.kind === "hello") {
-      axis.page = message.page;
       $("axis-events").replaceChildren();
       message.events.forEach(event);
       info(message.info);
     } else if (message.kind === "status") status(message.status);
     else if (message.kind === "event") event(message.event);
     else if (message.kind === "info") info(message.info);
-    if (message.kind === "hello" || performance.now() - axis.hereMs > HERE_MS) { // on what comes, not by a timer: a hidden page's timers may sleep for minutes
-      axis.hereMs = performance.now();
-      if (axis.page) send("here", { page: axis.page }).catch(() => {});
-    }
   }
 
   function status(s) {
