@@ -56,18 +56,60 @@ class Format(NamedTuple):
         )
 
 
+# What the law of a file has over the paper's PI with friction observer, each part off: axis/1 meant this where it said
+# nothing, and `law: paper` of a scenario's controller means it today.
+PAPER_LAW: dict[str, Any] = {
+    "error_filter_s": 0.0,
+    "observer": {"learns_in": "friction"},
+    "at_rest": {"gain_share": 1.0, "release_friction": False},
+    "feedforward": {"inertia": False, "preview": False, "delay_aware": False},
+}
+
+
+def over(base: Document, given: Any) -> Any:
+    """A mapping of sections with the keys of another over it; anything else is left to the check of the file."""
+    if not isinstance(given, Mapping):
+        return given
+    found = {**base, **given}
+    for key in base.keys() & given.keys():
+        if isinstance(base[key], Mapping):
+            found[key] = over(base[key], given[key])
+    return found
+
+
+def _axis_2(data: Document) -> dict[str, Any]:
+    """The best law that is known became the default: what a file of 1 did not switch on stays off."""
+    return {**data, "controller": over(PAPER_LAW, data["controller"])} if "controller" in data else dict(data)
+
+
+def _scenario_2(data: Document) -> dict[str, Any]:
+    """A controller takes what it does not say from the axis file, and a section that it gives has today's defaults."""
+    controllers = data.get("controllers")
+    if not isinstance(controllers, Mapping):
+        return dict(data)
+    return {**data, "controllers": {name: _variant_2(variant) for name, variant in controllers.items()}}
+
+
+def _variant_2(variant: Any) -> Any:
+    given = over({"feedforward": PAPER_LAW["feedforward"]}, variant)
+    if isinstance(given, Mapping) and isinstance(given.get("at_rest"), Mapping):
+        given = {**given, "at_rest": over(PAPER_LAW["at_rest"], given["at_rest"])}
+    return given
+
+
 HAND = "by hand"
 NOBODY = "programs of others"
 
 MODEL = Format("model", "model of an axis", f"bring-up, identify, diagnose, {HAND}", "all that runs or fits an axis")
 AXIS = Format(
-    "axis", "an axis: drive, model, law, limits, profile", f"bring-up, close-the-loop, {HAND}", "all that runs an axis"
+    "axis", "an axis: drive, model, law, limits, profile", f"bring-up, tune, close-the-loop, {HAND}",
+    "all that runs an axis", (_axis_2,),
 )  # fmt: skip
 DRIVE_PROFILE = Format(
     "drive_profile", "what a family of drives needs", f"drive-info, {HAND}", "all that reads an axis"
 )
 SIMULATED = Format("simulated", "a simulated drive", f"close-the-loop, {HAND}", "sim, run, evaluate, close-the-loop")
-SCENARIO = Format("scenario", "what is compared, on which axis", HAND, "evaluate")
+SCENARIO = Format("scenario", "what is compared, on which axis", HAND, "evaluate", (_scenario_2,))
 FACTS = Format("facts", "declared facts about a drive", f"close-the-loop, {HAND}", "identify, diagnose, close-the-loop")
 COMMISSIONING = Format("commissioning", "record of a commissioning", "commission", "run, serve, close-the-loop")
 ADOPTIONS = Format("adoptions", "models that an axis has had", "adopt, close-the-loop", "adopt")

@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .config.axis import TOGGLES, AxisFile, hold_dead_band_rev, loop_axis, model_of
+from .config.axis import TOGGLES, AxisFile, default_axis, hold_dead_band_rev, loop_axis, model_of
 from .config.axis import read_axis as read_axis_file
 from .config.commissioning import NOT_COMMISSIONED, commissioned, permission
 from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
-from .control.stability import linear_axis
 from .daemon.serving import torque_on
 from .documents import DocumentError, check, did_you_mean
 from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
@@ -371,7 +370,7 @@ def tune(
     the commissioning record from this axis; None: `rate_hz` and the drive's velocity. Raises DocumentError.
     """
     tuning.require_positive(rate_hz=rate_hz)
-    linear = linear_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
+    linear = default_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
     measured = NOT_COMMISSIONED if axis is None else commissioned(axis.path, axis.file)
     wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)
     return tuning.tune(model, linear, wish, measured, hold_dead_band_rev(None if axis is None else axis.file))

@@ -36,7 +36,8 @@ from ..runtime.runs import record_live, timestamp_name
 from ..runtime.session import Session
 from ..system.service_files import sources
 from ..workflows.errors import DriveFaultError, RecordingGapError
-from ..workflows.plan import Plan, make_plan, open_drive, plan_session, run_header
+from ..workflows.evaluate_live import NAMES, candidate_header
+from ..workflows.plan import Plan, checked_plan, make_plan, open_drive, plan_session, toggle_name
 from ..workflows.recordings import recorder_hooks
 from ..workflows.simulated_process import SimulatedProcess
 from .progress import progress_bar
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    plan = make_plan(options.config, tuple(CONTROLLERS.values()))
+    plan = papers(make_plan(options.config, tuple(CONTROLLERS.values())))
     if options.quick:
         plan = _shortened(plan)
     if not isinstance(plan.axis.drive, CanopenDriveSection):
@@ -86,6 +87,12 @@ def execute(options: argparse.Namespace) -> int:
         report = write_bench_report(records, result, out)
     _report(records, result, report.page, options.json)
     return 0
+
+
+def papers(plan: Plan) -> Plan:
+    """The same axis under the paper's law. Raises DocumentError if that is not proven stable."""
+    axis = plan.axis.model_copy(update={"controller": plan.axis.controller.papers})
+    return checked_plan(plan.path, axis, plan.model, tuple(CONTROLLERS.values()))
 
 
 def _shortened(plan: Plan) -> Plan:
@@ -108,7 +115,7 @@ def _compare(
         for name, toggle in CONTROLLERS.items():
             process.check()
             path = out / f"{name.lower().replace('+', '_')}.mcap"
-            header = run_header(plan, identity, toggle)
+            header = candidate_header(plan, NAMES[toggle_name(toggle)], toggle, identity)
             with progress_bar(f"{name:8}", quiet) as progress:
                 outcome = record_live(session, plan.profile, toggle, path, header, settings, recorder_hooks(), progress)
             if outcome.fault_text is not None:

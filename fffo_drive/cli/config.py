@@ -169,6 +169,7 @@ def _check(plan: Plan) -> None:
     from ..config.address import address_of, sandbox_problem
     from ..config.checks import bus_sum, law_margins
     from ..config.drive_section import CanopenDriveSection
+    from ..config.law_costs import law_costs
     from ..config.resolution import coarse_words, resolution_lines
     from ..control.friction_observer import TOGGLE_OFF
 
@@ -197,6 +198,8 @@ def _check(plan: Plan) -> None:
             )
     for text in coarse_words(axis, model):
         print(f"  warning: {text}")
+    for cost in law_costs(axis, model, plan.profile, plan.toggle != TOGGLE_OFF):
+        print(f"  law: {cost}")
     for key in ("scope", "foxglove"):
         listen = getattr(axis.daemon, key)
         problem = sandbox_problem(address_of(listen)) if listen is not None else None

@@ -9,28 +9,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import yaml
-
-from ..config.axis import hold_dead_band_rev, loop_axis, read_axis
+from ..config.axis import default_axis, hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import NOT_COMMISSIONED, commissioned
-from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import ControllerSection
-from ..control.stability import linear_axis
-from ..documents import DocumentError, parse, read_text
+from ..documents import DocumentError
 from ..identification.tuning import Wish
 from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
 from ..report.tune import TuneSource, estimate_text, range_text, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
-from ..workflows.tune import allowed_by_estimate, require_positive, tune
+from ..workflows.tune import allowed_by_estimate, require_positive, section_text, tune, write_tuned_axis
 
 FIGURES = "figures"
 GAINS_NAME = "controller.yaml"
@@ -98,7 +92,7 @@ def execute(options: argparse.Namespace) -> int:
     model = read_model(options.model)
     axis_file = read_axis(options.axis) if options.axis else None
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
-    axis = loop_axis(axis_file, model) if axis_file else linear_axis(model, period_s)
+    axis = loop_axis(axis_file, model) if axis_file else default_axis(model, period_s)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
     measured = commissioned(options.axis, axis_file) if axis_file else NOT_COMMISSIONED
     tuned = tune(model, axis, wish, measured, hold_dead_band_rev(axis_file))
@@ -113,12 +107,12 @@ def execute(options: argparse.Namespace) -> int:
             raise DocumentError(f"--out: {out / name} is the axis file to copy: give another --out")
     out.mkdir(parents=True, exist_ok=True)
     section = tuned.section(limit_a)
-    text = yaml.safe_dump({"controller": section}, sort_keys=False)
+    text = section_text(section)
     written = [out / GAINS_NAME]
     written[0].write_text(text, encoding="utf-8")
     result = tuned.summary() | {"integral_action_on_the_estimate": more}
     if options.axis:
-        written.append(_write_axis(Path(options.axis), out, section, Path(options.model)))
+        written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands, more)
     tuning = Tuning(tuned.axis, found, wish, model.friction_config())
@@ -154,26 +148,6 @@ def _commands(axis: Path | None, model: Path) -> list[str]:
         f"fffo-drive run {place} --toggle ff   # one profile, recorded",
         f"fffo-drive run {place} --toggle off  # the same under PI alone",
     ]
-
-
-def _write_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:
-    """A copy of an axis file with other gains and another model; keys of the section that are not tuned are kept."""
-    data, _ = parse(read_text(source), str(source))
-    kept = data["controller"]
-    observer = dict(kept.get("observer", {})) | section["observer"]
-    data["controller"] = kept | section | {"observer": observer}
-    data["model"] = os.path.relpath(model.resolve(), out.resolve())
-    drive = data["drive"]
-    for place, key in ((drive, "file"), (drive, "eds"), (data, "commissioning")):
-        if place.get(key):
-            place[key] = os.path.relpath((source.parent / place[key]).resolve(), out.resolve())
-    family = profile_path(source, drive["profile"]) if drive.get("profile") else None
-    if family is not None and family not in shipped_profiles().values():
-        drive["profile"] = os.path.relpath(family.resolve(), out.resolve())
-    target = out / source.name
-    target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
-    read_axis(target)
-    return target
 
 
 def _print(tuning: Tuning, linear: bool) -> None:

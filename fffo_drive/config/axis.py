@@ -183,8 +183,13 @@ def velocity_config(axis: AxisFile, model: ModelFile) -> VelocityEstimatorConfig
 
 
 def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
-    """The sliding axis as the loop of this file meets it: with the delay of the velocity that its error takes."""
-    return linear_axis(model, axis.loop.period_s, velocity_config(axis, model))
+    """The sliding axis as the loop of this file meets it: with the delay and the filter of the error."""
+    return linear_axis(model, axis.loop.period_s, velocity_config(axis, model), axis.controller.error_filter_s)
+
+
+def default_axis(model: ModelFile, period_s: float) -> LinearAxis:
+    """The same for a file whose law is the default."""
+    return linear_axis(model, period_s, error_filter_s=ControllerSection.model_fields["error_filter_s"].default)
 
 
 def rest_config(axis: AxisFile, model: ModelFile) -> RestConfig:

@@ -38,7 +38,6 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
         section.proportional_a_per_rps,
         section.integral_a_per_rev,
         gain,
-        section.error_filter_s,
     )
 
 
@@ -57,7 +56,6 @@ def rest_margins(axis: AxisFile, model: ModelFile) -> Margins:
             section.at_rest.gain_share * section.proportional_a_per_rps,
             section.at_rest.gain_share * section.integral_a_per_rev,
             0.0,
-            section.error_filter_s,
             section.at_rest.hold_a_per_rev_s,
         )
         for stuck in stuck_axes(loop_axis(axis, model), model, hold_dead_band_rev(axis))

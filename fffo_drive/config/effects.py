@@ -186,7 +186,6 @@ def slope_margin(axis: AxisFile, model: ModelFile, profile: Profile, observer_on
         section.proportional_a_per_rps,
         section.integral_a_per_rev,
         gain + slope,
-        section.error_filter_s,
     )
     return SlopeMargin(slope, left, margins.phase_deg, margins.gain)
 

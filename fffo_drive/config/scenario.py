@@ -52,20 +52,26 @@ CUTOUT_S = 1.5
 HISTOGRAM_BINS = 160
 
 Factor = Annotated[float, Field(gt=0, le=100)]
-REPLACED = Field(description="replaces this section of the axis file; absent: everything in it is off")
 Gain = Annotated[float | None, Field(ge=0, le=1e6)]
 
 
 def _inherited(section: type[StrictRecord], key: str) -> Any:
-    """The description of a key that is the axis file's, where null leaves it as it is there."""
-    return Field(description=f"{section.model_fields[key].description}; null: as in the axis file")
+    """The description of a key that is the law's, where null leaves it as it is there."""
+    return Field(description=f"{section.model_fields[key].description}; null: as in `law`")
 
 
 class ControllerVariant(StrictRecord):
-    """A controller: differences from that of the axis file."""
+    """A controller: differences from that of the axis file, or from the paper's."""
 
     toggle: Annotated[Literal["off", "ff", "fb"], Field(description="friction from reference, feedback, or off")]
-    feedforward: Annotated[FeedforwardSection, REPLACED] = FeedforwardSection()
+    law: Annotated[
+        Literal["axis", "paper"],
+        Field(
+            description="what the keys below change: the law of the axis file, or the paper's, which is its gains and "
+            "nothing beyond PI with friction observer"
+        ),
+    ] = "axis"
+    feedforward: Annotated[FeedforwardSection | None, _inherited(ControllerSection, "feedforward")] = None
     proportional_a_per_rps: Annotated[Gain, _inherited(ControllerSection, "proportional_a_per_rps")] = None
     integral_a_per_rev: Annotated[Gain, _inherited(ControllerSection, "integral_a_per_rev")] = None
     gain_nm_per_rev: Annotated[Gain, _inherited(ObserverSection, "gain_nm_per_rev")] = None
@@ -77,13 +83,9 @@ class ControllerVariant(StrictRecord):
         None
     )
     velocity: Annotated[VelocitySection | None, _inherited(ControllerSection, "velocity")] = None
-    adaptation: Annotated[AdaptationSection, REPLACED] = AdaptationSection()
-
-    @model_validator(mode="after")
-    def _one_learns(self) -> ControllerVariant:
-        if self.adaptation.enabled:
-            refuse_adaptation_beside(self.learns_in, self.feedforward)
-        return self
+    adaptation: Annotated[
+        AdaptationSection, Field(description="replaces this section of the axis file; absent: everything in it is off")
+    ] = AdaptationSection()
 
 
 class MismatchSection(StrictRecord):
@@ -184,10 +186,24 @@ def read_scenario(path: str | Path) -> Scenario:
     elif file.plant:
         refuse(path, [("plant", "the axis is on a bus: its plant cannot be changed")])
     scenario = Scenario(path, file, axis_path, axis, model, plant, device)
+    refuse(path, _adaptation_problems(scenario))
     problems = length_problems(file.reference or axis.profile, axis.loop)
     problems = problems or profile_problems(axis, reference_of(scenario, file.first_seed))
     refuse(path, [("reference", problem.removeprefix("profile: ")) for problem in problems])
     return scenario
+
+
+def _adaptation_problems(scenario: Scenario) -> list[tuple[str, str]]:
+    """(key, text) of each controller that adapts beside what it must not adapt beside."""
+    found = []
+    for name, variant in scenario.file.controllers.items():
+        section = axis_of(scenario, name).controller
+        try:
+            if variant.adaptation.enabled:
+                refuse_adaptation_beside(section.observer.learns_in, section.feedforward)
+        except ValueError as error:
+            found.append((f"controllers.{name}.adaptation.enabled", str(error).removeprefix("adaptation.enabled: ")))
+    return found
 
 
 def select_controllers(scenario: Scenario, names: list[str]) -> Scenario:
@@ -204,11 +220,12 @@ def axis_of(scenario: Scenario, name: str) -> AxisFile:
     """The axis file as it would be with this controller."""
     variant = scenario.file.controllers[name]
     section = scenario.axis.controller
+    section = section.papers if variant.law == "paper" else section
     observer = _given(variant, "toggle", "gain_nm_per_rev", "learns_in", "clamp_ratio", "feedback_band_rps")
+    keys = ("proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest", "velocity", "feedforward")
     changed = {
-        **_given(variant, "proportional_a_per_rps", "integral_a_per_rev", "error_filter_s", "at_rest", "velocity"),
+        **_given(variant, *keys),
         "observer": section.observer.model_copy(update=observer),
-        "feedforward": variant.feedforward,
         "adaptation": variant.adaptation,
     }
     return scenario.axis.model_copy(update={"controller": section.model_copy(update=changed)})

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, field_validator, model_validator
 
 from ..documents import StrictRecord
+from ..formats import PAPER_LAW, over
 from .address import Listen
 from .names import FileName
 
@@ -35,7 +37,7 @@ class ObserverSection(StrictRecord):
             description="where L e is added: to the friction estimate (the paper), or to the integral, where it does "
             "not decay"
         ),
-    ] = "friction"
+    ] = "integral"
     clamp_ratio: Annotated[float, Field(ge=1, le=10, description="bound of the estimate, in multiples of Fs")] = 2.0
     feedback_band_rps: Annotated[
         float, Field(ge=0, le=10, description="dead band: a smaller measured velocity does not reverse the model")
@@ -45,9 +47,9 @@ class ObserverSection(StrictRecord):
 class FeedforwardSection(StrictRecord):
     """Feed-forward beyond the paper: each part has its own switch and its own term in the row."""
 
-    inertia: Annotated[bool, Field(description="inertia torque of the reference")] = False
-    preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = False
-    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference of the same age")] = False
+    inertia: Annotated[bool, Field(description="inertia torque of the reference")] = True
+    preview: Annotated[bool, Field(description="read the reference ahead, so that torque arrives on time")] = True
+    delay_aware: Annotated[bool, Field(description="compare the feedback with a reference of the same age")] = True
 
 
 class EffectsSection(StrictRecord):
@@ -77,10 +79,10 @@ class EffectsSection(StrictRecord):
 class RestSection(StrictRecord):
     """Behaviour while the reference is zero."""
 
-    gain_share: Annotated[float, Field(gt=0, le=1, description="share of Kp and Ki that acts at rest")] = 1.0
+    gain_share: Annotated[float, Field(gt=0, le=1, description="share of Kp and Ki that acts at rest")] = 0.5
     release_friction: Annotated[
         bool, Field(description="let the friction estimate decay at rest, so that it does not push the axis")
-    ] = False
+    ] = True
     time_s: Annotated[
         float, Field(ge=0.001, le=10, description="time constant of the change of gains and of this decay")
     ] = 0.1
@@ -156,7 +158,7 @@ class AdaptationSection(StrictRecord):
     ] = 0.5
 
 
-def refuse_adaptation_beside(learns_in: str | None, feedforward: FeedforwardSection) -> None:
+def refuse_adaptation_beside(learns_in: str, feedforward: FeedforwardSection) -> None:
     """Raise ValueError if the P and I terms do not equal the torque that the model lacks."""
     if learns_in != "integral":
         raise ValueError(
@@ -179,7 +181,7 @@ class ControllerSection(StrictRecord):
     current_limit_a: Annotated[Amperes, Field(description="bound of the controller's command, A")]
     error_filter_s: Annotated[
         float, Field(ge=0, le=0.1, description="time constant of a low-pass on the error; the margins include it")
-    ] = 0.0
+    ] = 0.0002
     observer: Annotated[ObserverSection, Field(description="the friction observer")] = ObserverSection()
     at_rest: Annotated[RestSection, Field(description="gains and friction term at standstill")] = RestSection()
     feedforward: Annotated[FeedforwardSection, Field(description="feed-forward parts")] = FeedforwardSection()
@@ -199,6 +201,28 @@ class ControllerSection(StrictRecord):
         if self.adaptation.enabled:
             refuse_adaptation_beside(self.observer.learns_in, self.feedforward)
         return self
+
+    def changed(self, changes: Mapping[str, Any]) -> ControllerSection:
+        """The section with other keys; of a section in it those that are given. Raises pydantic's ValidationError."""
+        return ControllerSection.model_validate(over(self.model_dump(), changes))
+
+    @property
+    def papers(self) -> ControllerSection:
+        """The law of the paper with the gains of this section: PI with friction observer, and nothing beyond it."""
+        beyond = {"velocity": {"source": "drive"}, "adaptation": {"enabled": False}}
+        return self.changed(PAPER_LAW | beyond | {"at_rest": PAPER_LAW["at_rest"] | {"hold_a_per_rev_s": 0.0}})
+
+
+def best_law() -> dict[str, Any]:
+    """What the law has over the paper's, as it is where a file says nothing; keys as in `PAPER_LAW`."""
+    whole = ControllerSection(proportional_a_per_rps=1.0, integral_a_per_rev=0.0, current_limit_a=1.0).model_dump()
+    return _part_of(whole, PAPER_LAW)
+
+
+def _part_of(whole: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        key: _part_of(whole[key], inner) if isinstance(inner, Mapping) else whole[key] for key, inner in keys.items()
+    }
 
 
 class EnvelopeSection(StrictRecord):

@@ -65,6 +65,7 @@ class LinearAxis(NamedTuple):
     contact_nm_per_rev: float = 0.0  # stiffness of a sticking contact, a spring on the inertia; 0: sliding
     elastic: ElasticLoad = RIGID
     estimator: VelocityEstimatorConfig | None = None  # of the velocity in the error; None: the drive's own
+    error_filter_s: float = 0.0  # time constant of the error's low-pass
 
 
 class Margins(NamedTuple):
@@ -97,9 +98,9 @@ def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
 
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
-    error_filter_s: float = 0.0, hold_a_per_rev_s: float = 0.0,
+    hold_a_per_rev_s: float = 0.0,
 ) -> Margins:  # fmt: skip
-    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and the error's filter.
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and its filter.
 
     `hold_a_per_rev_s`: the integral of the position at rest. The position is no older than the velocity.
     """
@@ -107,7 +108,7 @@ def loop_margins(
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    controller = controller / (1.0 + error_filter_s * s)
+    controller = controller / (1.0 + axis.error_filter_s * s)
     impedance = impedance_nm_per_rps(axis, s)
     hold = hold_a_per_rev_s * kt / (s * s)
     if axis.estimator is None:
@@ -173,10 +174,12 @@ def loop_delay_s(model: ModelFile, period_s: float, estimated: bool = False) -> 
     return to_position_s + feedback_lag_s(model, estimated) + 0.5 * period_s
 
 
-def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorConfig | None = None) -> LinearAxis:
+def linear_axis(
+    model: ModelFile, period_s: float, estimator: VelocityEstimatorConfig | None = None, error_filter_s: float = 0.0
+) -> LinearAxis:
     """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load if the model has one.
 
-    `estimator`: of the velocity in the error; None or unused: the drive's own velocity.
+    `estimator`: of the velocity in the error; None or unused: the drive's own velocity. `error_filter_s`: of the error.
     """
     if estimator is not None and not estimator.used:
         estimator = None
@@ -190,6 +193,7 @@ def linear_axis(model: ModelFile, period_s: float, estimator: VelocityEstimatorC
         config.torque_constant_nm_per_a,
         elastic=found if found.share > 0.0 else RIGID,
         estimator=estimator,
+        error_filter_s=error_filter_s,
     )
 
 
@@ -237,6 +241,7 @@ def _slides(axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, floa
     follows = 1.0 + s * level_nm / (friction.attraction_nm_per_rev * speed_rps)
     plant = s * impedance_nm_per_rps(axis, s)
     controller = s * proportional_a_per_rps * kt + integral_a_per_rev * kt + observer_nm_per_rev
+    controller = controller / (1.0 + axis.error_filter_s * s)
     loop = follows * (plant + controller * np.exp(-s * axis.delay_s)) + s * slope
     passive = follows * (plant + controller) + s * abs(slope)
     turned, most = (float(np.subtract(*np.unwrap(np.angle(values))[[-1, 0]])) for values in (loop, passive))

@@ -194,7 +194,7 @@ def rest_margins(stuck: Sequence[LinearAxis], gains: Gains) -> Margins:
         gains.rest_share * gains.proportional_a_per_rps,
         gains.rest_share * gains.integral_a_per_rev,
     )
-    return worst_margins(loop_margins(one, proportional, integral, 0.0, 0.0, gains.hold_a_per_rev_s) for one in stuck)
+    return worst_margins(loop_margins(one, proportional, integral, 0.0, gains.hold_a_per_rev_s) for one in stuck)
 
 
 def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:

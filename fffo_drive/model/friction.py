@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Floats
 from ..jit import njit
 
 # How the hysteresis amplitude Omega follows from F at the reversal (4)
@@ -77,13 +78,22 @@ def stribeck_share(ratio: float, exponent: float) -> float:
     return 1.0 if exponent > 0.0 else 0.0
 
 
+def steady_friction_along(config: FrictionConfig, velocity_rps: Floats) -> Floats:
+    """`steady_friction_nm` of many velocities, arrays (n,), without the compiler."""
+    speeds_rps = np.abs(velocity_rps)
+    ratios = speeds_rps / config.stribeck_velocity_rps
+    moving = np.exp(-np.power(np.maximum(ratios, STRIBECK_FLOOR), config.stribeck_exponent))
+    shares = np.where(ratios > STRIBECK_FLOOR, moving, 1.0 if config.stribeck_exponent > 0.0 else 0.0)
+    excess_nm = config.static_nm - config.coulomb_nm
+    return np.asarray(config.coulomb_nm + excess_nm * shares + config.viscous_nm_per_rps * speeds_rps)
+
+
 def least_sliding_nm(config: FrictionConfig, highest_rps: float) -> float:
     """The smallest steady-state friction torque at any speed up to `highest_rps`.
 
     A fit that sees few slow speeds may put Fc at almost zero, under a Stribeck curve that never gets there.
     """
-    speeds_rps = highest_rps * np.geomspace(SLIDING_FROM, 1.0, SLIDING_POINTS)
-    return min(steady_friction_nm(config, float(speed_rps)) for speed_rps in speeds_rps)
+    return float(steady_friction_along(config, highest_rps * np.geomspace(SLIDING_FROM, 1.0, SLIDING_POINTS)).min())
 
 
 @njit

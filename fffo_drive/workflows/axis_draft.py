@@ -110,7 +110,7 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     speed_rps, speed_source = HIGHEST_SPEED_RPS, "assumed; raise it once the axis is known"
     if (rpm := objects.value(0x6080)) and SPEED_SHARE * rps_from_rpm(rpm) < HIGHEST_SPEED_RPS:
         speed_rps, speed_source = SPEED_SHARE * rps_from_rpm(rpm), f"read: 0.8 of 0x6080, {rpm} rpm"
-    gain = TWO_PI * CROSSOVER_HZ * TWO_PI * inertia_kg_m2(facts).value / constant
+    law = first_law(inertia_kg_m2(facts).value, constant)
     limit_a = max(peak * rated_a, rated_a)
     lines = _lines(
         "",
@@ -130,11 +130,17 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
             [
                 (
                     "proportional_a_per_rps",
-                    Fact(_rounded(gain), f"assumed: {CROSSOVER_HZ:g} Hz on the model's inertia"),
+                    Fact(
+                        _rounded(law["proportional_a_per_rps"]), f"assumed: {CROSSOVER_HZ:g} Hz on the model's inertia"
+                    ),
                 ),
-                ("integral_a_per_rev", Fact(_rounded(gain / RESET_TIME_S), f"assumed: Ti {RESET_TIME_S:g} s")),
+                (
+                    "integral_a_per_rev",
+                    Fact(_rounded(law["integral_a_per_rev"]), f"assumed: Ti {RESET_TIME_S:g} s"),
+                ),
                 ("current_limit_a", Fact(_rounded(rated_a), "the rated current")),
                 ("observer", Fact("{toggle: off}", "until the friction is identified")),
+                ("feedforward", Fact("{inertia: false}", "until the inertia is; `tune` switches on the whole law")),
             ],
         ),
     ]
@@ -172,6 +178,17 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
         f"# next: fffo-drive commission {place.name}.yaml (it moves the axis a little, and asks before)",
     ]
     return "\n".join([*head, *lines]) + "\n"
+
+
+def first_law(inertia_kg_m2: float, torque_constant_nm_per_a: float) -> dict[str, Any]:
+    """Keys of the law before anything is identified: a slow PI, and no torque of an assumed friction or inertia."""
+    gain = TWO_PI * CROSSOVER_HZ * TWO_PI * inertia_kg_m2 / torque_constant_nm_per_a
+    return {
+        "proportional_a_per_rps": gain,
+        "integral_a_per_rev": gain / RESET_TIME_S,
+        "observer": {"toggle": "off"},
+        "feedforward": {"inertia": False},
+    }
 
 
 def inertia_kg_m2(facts: SourcedFacts) -> Fact:

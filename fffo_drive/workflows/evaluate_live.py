@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import yaml
@@ -21,7 +22,6 @@ from ..config.scenario import (
     cutouts_of,
     law_cautions,
     reference_of,
-    toggle_of,
     wrong_model,
     yardstick_of,
 )
@@ -46,6 +46,7 @@ PARTS = ("inertia", "preview", "delay_aware")
 BANDS_RPS = (0.0, 0.5, 2.0, 5.0, 1000.0)
 HISTOGRAM_BINS = 160
 WHOLE_SHARE = 0.999  # of a profile
+NOTHING_MORE: Mapping[str, str] = MappingProxyType({})
 CANDIDATE = "candidate"  # in the metadata of a recording: the scenario's name of the controller
 
 
@@ -143,7 +144,11 @@ def evaluate_on_bus(
             profile = reference_of(scenario, seed)
             for candidate in candidates_of(scenario, seed):
                 session.set_controller(candidate.controller)
-                header = _header(plan._replace(profile=profile), scenario, candidate.name, seed, identity)
+                own = plan._replace(
+                    profile=profile, axis=axis_of(scenario, candidate.name),
+                    model=wrong_model(scenario.model, scenario.file.mismatch, seed),
+                )  # fmt: skip
+                header = candidate_header(own, candidate.name, candidate.toggle, identity, {"seed": str(seed)})
                 path = out / f"{candidate.name.replace('+', '_')}_{seed}.mcap"
                 with bar(f"{candidate.name}, seed {seed}") as progress:
                     outcome = record_live(
@@ -160,14 +165,14 @@ def evaluate_on_bus(
     return evaluations
 
 
-def _header(plan: Plan, scenario: Scenario, name: str, seed: int, identity: DriveIdentity) -> RunHeader:
-    """Metadata as of any run, with this controller's own axis and model, so that it can be replayed."""
-    header = run_header(plan, identity, toggle_of(scenario, name))
-    axis = axis_of(scenario, name)
-    model = wrong_model(scenario.model, scenario.file.mismatch, seed)
-    documents = ((plan.path.name, axis), (Path(axis.model).name, model))
+def candidate_header(
+    plan: Plan, name: str, toggle: int, identity: DriveIdentity, extra: Mapping[str, str] = NOTHING_MORE
+) -> RunHeader:
+    """Metadata as of any run, with a name and with this plan's axis and model, which differ from those of its files."""
+    header = run_header(plan, identity, toggle)
+    documents = ((plan.path.name, plan.axis), (Path(plan.axis.model).name, plan.model))
     attachments = tuple(
         (file, YAML_TYPE, yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), sort_keys=False).encode())
         for file, record in documents
     )
-    return RunHeader({**header.metadata, CANDIDATE: name, "seed": str(seed)}, attachments)
+    return RunHeader({**header.metadata, CANDIDATE: name, **extra}, attachments)

@@ -10,7 +10,7 @@ from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import Record, where_command_acts
 from ..identification.facts import DriveFacts
-from ..identification.fit import Fit, FitSettings, fit_records
+from ..identification.fit import Fit, FitSettings, Progress, fit_records
 from ..identification.population import AgainstPopulation, with_population
 from ..identification.residuals import RunResidual, run_residuals
 from ..identification.results import model_file, report
@@ -50,6 +50,15 @@ class Identified:
         return [row for row in self.result["parameters"] if row["fitted"]]
 
 
+def fitted_model(
+    records: Sequence[Record], facts: DriveFacts, name: str, settings: FitSettings | None = None,
+    progress: Progress | None = None,
+) -> tuple[Fit, ModelFile]:  # fmt: skip
+    """The fit of records, from `where_command_acts`, and the model as `identify` writes it. Raises DataError."""
+    fit = fit_records(records, settings or FitSettings(), facts, progress)
+    return fit, model_file(fit, records, name, facts.units)
+
+
 def identify(
     records: Sequence[Record], facts: DriveFacts, name: str, progress: Share | None = None,
     prior: AgainstPopulation | None = None,
@@ -61,14 +70,13 @@ def identify(
     """
     part = None if progress is None else lambda share, step: progress(FIT_SHARE * share, step)
     records = [where_command_acts(record) for record in records]
-    fit = fit_records(records, FitSettings(), facts, part)
+    fit, model = fitted_model(records, facts, name, progress=part)
     residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     coverage = coverage_of(records)
     cyclic = cyclic_error(records)
     result = report(fit, records, facts, residuals) | {"coverage": coverage._asdict()}
     if cyclic is not None:
         result["cyclic_error"] = cyclic.as_plain()
-    model = model_file(fit, records, name, facts.units)
     if prior is not None:
         result["prior"] = prior.as_plain()
         model = with_population(model, fit, prior)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+import os
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from .. import formats
-from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis
+from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
+from ..config.drive_profile import profile_path, shipped_profiles
+from ..config.sections import best_law
 from ..control.stability import RIGID, LinearAxis, stick_slip_rps, stuck_axes
-from ..documents import DocumentError
+from ..documents import DocumentError, parse, read_text, up_to_date
 from ..identification.tuning import Design, Wish, design, root_locus, step_response
 from ..identification.uncertainty import ADVICE, UNKNOWN_SD
 from ..model.parameters import ModelFile
@@ -37,8 +42,8 @@ class Tuned(NamedTuple):
         )
 
     def section(self, current_limit_a: float) -> dict[str, Any]:
-        """The `controller:` section of an axis file."""
-        return controller_section(self.design, current_limit_a)
+        """The `controller:` section of an axis file: the gains, and the best law that is known, whole."""
+        return controller_section(self.design, self.axis, current_limit_a)
 
     def summary(self) -> dict[str, Any]:
         """Gains, margins, root locus and step, JSON-ready."""
@@ -157,23 +162,51 @@ def require_positive(**given: float | None) -> None:
             raise DocumentError(f"{name}: {value:g}: a number above 0 is needed")
 
 
-def controller_section(found: Design, current_limit_a: float) -> dict[str, Any]:
-    """The `controller:` section of an axis file."""
-    return {
+def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) -> dict[str, Any]:
+    """The `controller:` section of an axis file: all that a file of the axis needs to have the best law.
+
+    Every part is said, also where it is the default: what a file says, no later default changes.
+    """
+    gains = {
         "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
         "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
-        "observer": {
-            "toggle": "ff",
-            "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev),
-            "learns_in": "integral",
-        },
+        "error_filter_s": axis.error_filter_s,
+        "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
         "at_rest": {
             "gain_share": _rounded(found.gains.rest_share),
-            "release_friction": True,
             "hold_a_per_rev_s": _rounded(found.gains.hold_a_per_rev_s),
         },
     }
+    law: dict[str, Any] = formats.over(best_law(), gains)
+    return gains | law
+
+
+def section_text(section: dict[str, Any]) -> str:
+    """The section as a file, for an axis file that is written by hand."""
+    return yaml.safe_dump({"controller": section}, sort_keys=False)
+
+
+def write_tuned_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:
+    """Write a copy of an axis file with this section and model to the directory `out`; return its path.
+
+    Keys of the section that are not tuned are kept; an older file is brought up to date. Raises DocumentError, OSError.
+    """
+    parsed, lines = parse(read_text(source), str(source))
+    data = dict(up_to_date(parsed, formats.AXIS.kind, str(source), lines))
+    data["controller"] = formats.over(data["controller"], section)
+    data["model"] = os.path.relpath(model.resolve(), out.resolve())
+    drive = data["drive"] = dict(data["drive"])
+    for place, key in ((drive, "file"), (drive, "eds"), (data, "commissioning")):
+        if place.get(key):
+            place[key] = os.path.relpath((source.parent / place[key]).resolve(), out.resolve())
+    family = profile_path(source, drive["profile"]) if drive.get("profile") else None
+    if family is not None and family not in shipped_profiles().values():
+        drive["profile"] = os.path.relpath(family.resolve(), out.resolve())
+    target = out / source.name
+    target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    read_axis(target)
+    return target
 
 
 def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:

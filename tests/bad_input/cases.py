@@ -291,7 +291,7 @@ CASES = (
     ),
     Case(
         "a file of another kind", (*CHECK, MODEL), 78,
-        (rf"{MODEL}:\d+: format: fffo_drive/model/1 where fffo_drive/axis/1 is needed",),
+        (rf"{MODEL}:\d+: format: fffo_drive/model/1 where fffo_drive/axis/2 is needed",),
     ),
     Case("text that is no YAML", RUN, 78, (rf"{AXIS}:\d+: not valid YAML",), added(AXIS, "recording: [\n")),
     Case(
@@ -326,7 +326,7 @@ CASES = (
     Case(
         "observer gain too small for condition (14)", RUN, 78,
         (rf"{AXIS}:\d+: controller\.observer\.gain_nm_per_rev: 3 breaks condition \(14\).*at least 3\.2",),
-        changed(AXIS, "gain_nm_per_rev: 5", "gain_nm_per_rev: 3"),
+        changed(AXIS, "gain_nm_per_rev: 5", "learns_in: friction\n    gain_nm_per_rev: 3"),
     ),
     Case(
         "quota smaller than two files", RUN, 78, (rf"{AXIS}:\d+: recording: quota_bytes must hold two files",),

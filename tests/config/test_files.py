@@ -125,7 +125,9 @@ def test_a_reaction_reaches_the_kernel(tmp_path):
 
 
 def test_an_observer_gain_that_breaks_condition_14_is_refused_with_the_needed_one(tmp_path):
-    axis = read_axis(write(tmp_path, AXIS.replace("gain_nm_per_rev: 5", "gain_nm_per_rev: 3")))
+    axis = read_axis(
+        write(tmp_path, AXIS.replace("gain_nm_per_rev: 5 ", "gain_nm_per_rev: 3\n    learns_in: friction "))
+    )
     model = model_of(tmp_path / "axis.yaml", axis)
     assert any("condition (14)" in text and "at least 3.22" in text for text in law_problems(axis, model, True))
     assert law_problems(axis, model, False) == []

@@ -39,7 +39,7 @@ def test_an_axis_file_in_place_of_a_profile_is_named_as_such():
     with pytest.raises(DocumentError) as error:
         make_plan(CONFIGS / "axis_simulated.yaml", profile_file=axis)
     (said,) = str(error.value).splitlines()  # not a line for each of its keys
-    assert re.search(r"axis_bench\.yaml:\d+: format: fffo_drive/axis/1 where a file with only a `profile:`", said)
+    assert re.search(r"axis_bench\.yaml:\d+: format: fffo_drive/axis/2 where a file with only a `profile:`", said)
 
 
 def test_the_short_profile_runs_each_speed_both_ways_for_as_long():

@@ -65,7 +65,7 @@ def test_an_estimate_takes_the_sensors_lag_from_the_delay_of_the_loop_and_from_t
 
 
 def test_without_preview_the_reference_is_as_late_as_torque_and_position(tmp_path):
-    axis, model = read(axis_file(tmp_path, f"feedforward: {{delay_aware: true}}\n  {ESTIMATED}"))
+    axis, model = read(axis_file(tmp_path, f"feedforward: {{preview: false}}\n  {ESTIMATED}"))
     assert controller_config(axis, model).feedforward.behind_ticks == pytest.approx(2.3e-3 / 5e-4)
 
 

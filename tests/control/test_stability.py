@@ -45,7 +45,7 @@ def test_margins_of_an_integrator_with_delay():
 def test_a_loop_of_two_integrators_and_a_lag_begins_below_180_degrees():
     """A position hold on a sliding axis: the phase margin at the crossover is that of its open loop there."""
     axis, kp, ki, hold = LinearAxis(1e-3, 0.003, 0.002, 0.1), 1.0, 10.0, 50.0
-    margins = loop_margins(axis, kp, ki, 0.0, 0.0, hold)
+    margins = loop_margins(axis, kp, ki, 0.0, hold)
     s = 2j * math.pi * margins.crossover_hz
     open_loop = 0.1 * (kp + ki / s + hold / s**2) / (1e-3 * s + 0.003) * np.exp(-0.002 * s)
     assert margins.phase_deg == pytest.approx(180.0 + math.degrees(np.angle(open_loop)), abs=0.1)

@@ -8,6 +8,7 @@ from daemon.test_effects_in_service import PlantRig
 
 from fffo_drive.daemon import settings
 from fffo_drive.documents import DocumentError, read_text
+from fffo_drive.formats import over
 from fffo_drive.workflows.plan import make_plan
 
 KEY = "controller.adaptation.enabled"
@@ -49,12 +50,13 @@ def test_it_is_refused_where_the_p_and_i_terms_are_not_what_the_model_lacks(tmp_
     for name in (AXIS, DRIVE, MODEL):
         (tmp_path / name).write_text(read_text(FILES / name))
     plan = make_plan(tmp_path / AXIS)
-    with pytest.raises(DocumentError, match=r"learns_in must be 'integral'"):
-        settings.with_value(plan, plan.toggle, KEY, True)
+    assert settings.with_value(plan, plan.toggle, KEY, True).axis.controller.adaptation.enabled
     axis = yaml.safe_load(read_text(tmp_path / AXIS))
-    axis["controller"].setdefault("observer", {})["learns_in"] = "integral"
-    axis["controller"]["feedforward"] = {"inertia": True, "delay_aware": True}
-    (tmp_path / AXIS).write_text(yaml.safe_dump(axis))
-    plan = make_plan(tmp_path / AXIS)
-    with pytest.raises(DocumentError, match=r"needs feedforward\.preview: without them"):
-        settings.with_value(plan, plan.toggle, KEY, True)
+    for changes, said in (
+        ({"observer": {"learns_in": "friction"}}, r"learns_in must be 'integral'"),
+        ({"feedforward": {"preview": False}}, r"needs feedforward\.preview: without them"),
+    ):
+        (tmp_path / AXIS).write_text(yaml.safe_dump({**axis, "controller": over(axis["controller"], changes)}))
+        plan = make_plan(tmp_path / AXIS)
+        with pytest.raises(DocumentError, match=said):
+            settings.with_value(plan, plan.toggle, KEY, True)

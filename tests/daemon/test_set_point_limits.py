@@ -39,7 +39,9 @@ def test_the_preview_is_reported_in_whole_periods_and_without_it_there_is_none(t
     delay_s, sensor_s = preview.model.delay_s.value, preview.model.sensor_delay_s.value
     assert (delay_s, sensor_s) == (0.00275, 0.0007)
     assert set_points.latency_s(preview) == pytest.approx(0.004)
-    assert set_points.latency_s(plan_of(tmp_path / "b")) == 0.0
+    without = plan_of(tmp_path / "b", lambda axis: axis["controller"].update(feedforward={"preview": False}))
+    assert set_points.latency_s(without) == 0.0
+    assert set_points.latency_s(plan_of(tmp_path / "c")) == set_points.latency_s(preview)  # it is the default
 
 
 def test_what_is_asked_for_takes_its_bounds_from_the_axis_file(tmp_path):

@@ -92,6 +92,7 @@ def axis_of(keys: dict[str, Any], bus: str, rate_hz: int) -> dict[str, Any]:
     }  # fmt: skip
     axis["model"] = str(CONFIGS / "models" / "table1.yaml")
     axis["loop"] = {"rate_hz": rate_hz}
+    axis["controller"]["at_rest"] = {}  # the hold is for the bench's counts, and this drive has its own
     axis["profile"] = {"kind": "sine", "duration_s": 2, "amplitude": 2, "frequency_hz": 1}
     axis["envelope"] |= {
         "following_error_rps": 24, "feedback_missing_ticks": 4000, "status_missing_ticks": 8000,

@@ -52,7 +52,7 @@ from fffo_drive.workflows.evaluate import narrowed, run_published
 PAPER = Path(__file__).resolve().parents[2] / "configs" / "scenarios" / "paper.yaml"
 PERIOD_S = 0.0005
 AXIS = LinearAxis(9.425e-4, 0.003, 0.003, 0.148)
-FILTER_S = 0.0002
+FILTERED = AXIS._replace(error_filter_s=0.0002)
 DOB, ESO = ObserverForm((0.0,)), ObserverForm((0.0, 0.0))
 BESIDE_PI = ObserverForm((0.0, 500.0), 10.0, 0.0007)
 MODELS = Models(TABLE_1, LUGRE_START, SLIP_START)
@@ -187,16 +187,16 @@ def test_margins_of_a_disturbance_observer_are_those_of_the_pi_that_it_is_withou
 
 
 def test_margins_without_an_observer_are_those_of_p_with_its_filter():
-    as_p = loop_margins(AXIS, 0.6, 0.0, 0.0, FILTER_S)
-    found = observer_margins(AXIS, 0.6, 1e-7, DOB, FILTER_S)
+    as_p = loop_margins(FILTERED, 0.6, 0.0, 0.0)
+    found = observer_margins(FILTERED, 0.6, 1e-7, DOB)
     assert found.phase_deg == pytest.approx(as_p.phase_deg, abs=0.05)
     assert found.gain == pytest.approx(as_p.gain, rel=1e-3)
     assert observer_margins(AXIS, 0.6, 1e-7, DOB).phase_deg > found.phase_deg + 1.0
 
 
 def test_margins_without_an_observer_are_those_of_pi_where_there_is_one_beside_it():
-    as_pi = loop_margins(AXIS, 0.6, 6.0, 0.0, FILTER_S)
-    found = observer_margins(AXIS, 0.6, 1e-7, BESIDE_PI, FILTER_S)
+    as_pi = loop_margins(FILTERED, 0.6, 6.0, 0.0)
+    found = observer_margins(FILTERED, 0.6, 1e-7, BESIDE_PI)
     assert found.phase_deg == pytest.approx(as_pi.phase_deg, abs=0.05)
     assert found.gain == pytest.approx(as_pi.gain, rel=1e-3)
 
@@ -204,12 +204,12 @@ def test_margins_without_an_observer_are_those_of_pi_where_there_is_one_beside_i
 @pytest.mark.parametrize("form", [DOB, ESO, BESIDE_PI], ids=["dob", "eso", "beside pi"])
 def test_gains_of_an_observer_have_the_margins_that_were_asked_for_and_no_more(form):
     wish = Wish(phase_margin_deg=46.0, gain_margin=3.0)
-    gains = observer_gains(AXIS, form, wish, FILTER_S)
-    found = observer_margins(AXIS, gains.proportional_a_per_rps, gains.bandwidth_rad_per_s, form, FILTER_S)
+    gains = observer_gains(FILTERED, form, wish)
+    found = observer_margins(FILTERED, gains.proportional_a_per_rps, gains.bandwidth_rad_per_s, form)
     assert found.phase_deg >= 46.0
     assert found.gain >= 3.0
     assert min(found.phase_deg - 46.0, 100.0 * (found.gain - 3.0)) < 1.0  # one of the two binds
-    faster = observer_margins(AXIS, gains.proportional_a_per_rps, 1.05 * gains.bandwidth_rad_per_s, form, FILTER_S)
+    faster = observer_margins(FILTERED, gains.proportional_a_per_rps, 1.05 * gains.bandwidth_rad_per_s, form)
     assert faster.phase_deg < 46.0 or faster.gain < 3.0
 
 
@@ -250,20 +250,19 @@ def test_laws_keep_their_margins_on_an_axis_with_other_numbers(short, design):
     laws = {law.name: law.config for law in laws_of(case.candidates, design, other, MODELS)}
     own = laws[PLUS]
     assert isinstance(own, ControllerConfig)
-    found = loop_margins(axis, *own.pi, own.observer.gain_nm_per_rev, error_filter_s(own))
+    axis = axis._replace(error_filter_s=error_filter_s(own))
+    found = loop_margins(axis, *own.pi, own.observer.gain_nm_per_rev)
     assert found.phase_deg == pytest.approx(design.margins.phase_deg, abs=2.0)
     loop = laws["dob+"]
     assert isinstance(loop, dob.ObserverLoop)
-    margins = observer_margins(
-        axis, loop.peer.pi.proportional_a_per_rps, loop.bandwidth_rad_per_s, DOB, error_filter_s(own)
-    )
+    margins = observer_margins(axis, loop.peer.pi.proportional_a_per_rps, loop.bandwidth_rad_per_s, DOB)
     assert margins.phase_deg == pytest.approx(design.disturbance.margins.phase_deg, abs=2.0)
     assert loop.delay_ticks == pytest.approx(9.0)
     position = laws["luenberger+"]
     assert isinstance(position, LuenbergerLoop)
     margins = observer_margins(
         axis, position.peer.pi.proportional_a_per_rps, position.slow_rad_per_s,
-        friction_form(own, other, position.model), error_filter_s(own),
+        friction_form(own, other, position.model),
     )  # fmt: skip
     assert margins.phase_deg == pytest.approx(design.friction_state.margins.phase_deg, abs=2.0)
     assert margins.gain == pytest.approx(design.friction_state.margins.gain, rel=0.05)

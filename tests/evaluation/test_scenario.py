@@ -108,11 +108,8 @@ def test_the_bench_runs_the_first_record_of_the_papers_scenario_with_its_laws():
     bench = read_axis(SCENARIOS.parent / "axis_bench.yaml")
     reference, profile = reference_of(scenario, 1), build_profile(bench.profile, bench.loop.period_s)
     assert np.array_equal(reference.values, profile.values)
-    law, papers = bench.controller, axis_of(scenario, "pi+fffo").controller
-    assert (law.proportional_a_per_rps, law.integral_a_per_rev) == (
-        papers.proportional_a_per_rps, papers.integral_a_per_rev
-    )  # fmt: skip
-    assert (law.observer, law.feedforward) == (papers.observer, papers.feedforward)
+    assert bench.controller == axis_of(scenario, "pi+fffo+").controller
+    assert bench.controller.papers == axis_of(scenario, "pi+fffo").controller
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from fffo_drive.cli import main
 from fffo_drive.commissioning.judge import CHECKS, judged
 from fffo_drive.commissioning.record import UNEXPLAINED_SHARE, read_record, write_record
 from fffo_drive.config.axis import read_axis
-from fffo_drive.config.checks import law_problems
+from fffo_drive.config.checks import law_margins, law_problems
 from fffo_drive.config.drive_profile import profile_path, shipped_profiles
 from fffo_drive.model.parameters import read_model
 
@@ -98,6 +98,40 @@ def test_tune_writes_gains_that_the_axis_file_accepts(tmp_path, capsys):
     assert re.search(r"step: overshoot [\d.]+ %, at worst [\d.]+ % with the observer, settled in", "\n".join(printed))
     assert len(result["root_locus"]) > 50
     assert result["condition_14_nm_per_rev"] >= 0.0
+
+
+def test_tune_writes_the_whole_law_also_for_an_old_file_and_keeps_what_it_does_not_choose(tmp_path, capsys):
+    text = (TABLE_1.parents[1] / "axis_simulated.yaml").read_text()
+    old = text.replace("axis/2", "axis/1").replace("  observer:\n", "  at_rest: {time_s: 0.05}\n  observer:\n")
+    axis = tmp_path / "axis.yaml"
+    axis.write_text(old)
+    assert not read_axis(axis).controller.feedforward.inertia
+    assert main(["tune", str(TABLE_1), "--out", str(tmp_path / "out"), "--axis", str(axis)]) == 0
+    capsys.readouterr()
+    written = tmp_path / "out" / axis.name
+    assert written.read_text().startswith("format: fffo_drive/axis/2\n")
+    law = read_axis(written).controller
+    said = yaml.safe_load((tmp_path / "out" / "controller.yaml").read_text())["controller"]
+    assert law.feedforward.model_dump() == said["feedforward"] == dict.fromkeys(said["feedforward"], True)
+    assert (law.observer.learns_in, law.at_rest.release_friction, law.at_rest.time_s) == ("integral", True, 0.05)
+    assert law.at_rest.hold_a_per_rev_s > 0.0
+    assert law.error_filter_s == 0.0  # as the file has it: the gains are for it
+    margins = law_margins(read_axis(written), read_model(TABLE_1), observer_on=True)
+    assert margins.phase_deg == pytest.approx(45.0, abs=0.2) or margins.gain == pytest.approx(2.5, abs=0.02)
+
+
+def test_the_gains_of_tune_count_the_filter_of_the_error(tmp_path, capsys):
+    """As in the axis file; without one as a file has it that says nothing."""
+    found = {}
+    for name, words in {"file": ["--axis", str(TABLE_1.parents[1] / "axis_simulated.yaml")], "none": []}.items():
+        assert main(["tune", str(TABLE_1), "--out", str(tmp_path / name), *words]) == 0
+        found[name] = yaml.safe_load((tmp_path / name / "controller.yaml").read_text())["controller"]
+    capsys.readouterr()
+    assert found["none"]["error_filter_s"] == found["file"]["error_filter_s"] == 0.0002
+    gains = ("proportional_a_per_rps", "integral_a_per_rev")
+    assert [found["none"][key] for key in gains] == [found["file"][key] for key in gains]
+    margins = law_margins(read_axis(tmp_path / "file" / "axis_simulated.yaml"), read_model(TABLE_1), observer_on=True)
+    assert min(margins.phase_deg - 45.0, 20.0 * (margins.gain - 2.5)) == pytest.approx(0.0, abs=0.3)
 
 
 def test_tune_says_what_the_estimated_velocity_would_allow_and_a_tuning_on_it_has_exactly_that(tmp_path, capsys):

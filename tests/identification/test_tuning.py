@@ -131,12 +131,12 @@ def test_gains_at_rest_keep_a_margin_on_the_contacts_spring(delay_s, contact_nm_
     found = design(sliding, 2.33, Wish(), (stuck,))
     share, (proportional, integral, _) = found.gains.rest_share, found.gains.in_motion
     hold = found.gains.hold_a_per_rev_s
-    margins = loop_margins(stuck, share * proportional, share * integral, 0.0, 0.0, hold)
+    margins = loop_margins(stuck, share * proportional, share * integral, 0.0, hold)
     assert found.margins_rest == margins
     if margins.phase_deg >= REST_MARGIN_DEG:
         assert 0.0 < hold * stuck.torque_constant_nm_per_a / contact_nm_per_rev < 200.0  # 1/s
         softer = stuck._replace(contact_nm_per_rev=0.5 * contact_nm_per_rev)  # loaded to half its Coulomb friction
-        assert loop_margins(softer, share * proportional, share * integral, 0.0, 0.0, hold).phase_deg > 0.0
+        assert loop_margins(softer, share * proportional, share * integral, 0.0, hold).phase_deg > 0.0
     assert margins.phase_deg >= REST_MARGIN_DEG or any("at rest" in text for text in found.warnings)
     if share < REST_SHARES[0]:  # the next larger one has not got it
         more = float(REST_SHARES[np.searchsorted(-REST_SHARES, -share) - 1])

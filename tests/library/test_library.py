@@ -107,11 +107,11 @@ def test_a_recording_has_its_axis_and_model_though_they_share_a_name_or_do_not_s
 ):
     text = AXIS.read_text().replace("file: sim", f"file: {CONFIGS}/sim").replace("model: m", f"model: {CONFIGS}/m")
     axis = tmp_path / axis_name  # its model is models/table1.yaml
-    axis.write_text(text if said else text.replace("format: fffo_drive/axis/1\n", ""))
+    axis.write_text(text if said else text.replace("format: fffo_drive/axis/2\n", ""))
     made = fd.run(axis, tmp_path / "run.mcap", profile=short_profile)
     assert made.facts == fd.simulate(axis, profile=short_profile).facts
     assert fd.replay(made, CONFIGS / "models" / "table1.yaml").largest_difference_a == 0.0
-    assert fd.evaluate(runs=[made]).controllers == ("pi+fffo",)
+    assert fd.evaluate(runs=[made]).controllers == ("pi+fffo+" if said else "pi+fffo",)  # it is of axis/1 then
 
 
 def test_a_run_that_was_not_recorded_is_not_replayed(simulated):

@@ -22,6 +22,7 @@ from fffo_drive.model.friction import (
     FrictionState,
     friction_step,
     settled_friction,
+    steady_friction_along,
     steady_friction_nm,
 )
 
@@ -235,3 +236,11 @@ def test_symmetry_under_change_of_sign():
 @pytest.mark.slow
 def test_compiled_and_interpreted_code_agree_bit_for_bit():
     assert edge_values() == hex_results("model.friction_cases", "edge_values")
+
+
+@pytest.mark.parametrize("exponent", [-3.0, -1.07, 0.5, 2.0])
+def test_friction_along_many_velocities_is_that_of_each(exponent):
+    config = TABLE1._replace(stribeck_exponent=exponent)
+    speeds_rps = np.concatenate(([0.0, -0.0], np.geomspace(1e-12, 100.0, 40), -np.geomspace(1e-3, 10.0, 20)))
+    one_by_one = [steady_friction_nm(config, float(speed_rps)) for speed_rps in speeds_rps]
+    np.testing.assert_allclose(steady_friction_along(config, speeds_rps), one_by_one, rtol=1e-9)

@@ -40,7 +40,7 @@ def made(directory, wish=None, change=None, estimator_hz=None, **gains):
     found = design(axis, attraction, wish)
     if gains:
         found = judge(axis, attraction, found.gains._replace(**gains), wish)
-    text = yaml.safe_dump({"controller": controller_section(found, 10.0)})
+    text = yaml.safe_dump({"controller": controller_section(found, axis, 10.0)})
     path = directory / "controller.yaml"
     path.write_text(text)
     source = TuneSource(TABLE_1, model, 0.5 * PERIOD_S, text, [path], ["fffo-drive config check AXIS.yaml"])

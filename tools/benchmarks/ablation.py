@@ -15,10 +15,10 @@ from common import made_by
 
 from fffo_drive.cli.progress import progress_bar
 from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
-from fffo_drive.config.sections import FeedforwardSection
 from fffo_drive.evaluation.campaign import run_campaign
 from fffo_drive.evaluation.compare import SeedInterval
 from fffo_drive.evaluation.summary import Summary, summarise
+from fffo_drive.formats import PAPER_LAW
 from fffo_drive.report.figures import Figure, Group, LevelLine, PlotAxis, grouped_bars
 from fffo_drive.report.static import write_overview
 
@@ -50,11 +50,11 @@ def variants() -> dict[str, ControllerVariant]:
         learns_in: str = "friction",
         **parts: bool,
     ) -> ControllerVariant:
-        feedforward = FeedforwardSection(**parts).model_dump()
-        law: dict[str, object] = {"gain_nm_per_rev": gain, "error_filter_s": filter_s, "learns_in": learns_in}
+        changes: dict[str, object] = {"gain_nm_per_rev": gain, "error_filter_s": filter_s, "learns_in": learns_in}
         if learns_in == "integral":
-            law["at_rest"] = {"release_friction": True}
-        return ControllerVariant.model_validate({"toggle": toggle, "feedforward": feedforward, **law})
+            changes["at_rest"] = {"gain_share": 1.0, "release_friction": True}
+        changes["feedforward"] = PAPER_LAW["feedforward"] | parts
+        return ControllerVariant.model_validate({"law": "paper", "toggle": toggle, **changes})
 
     every = {"inertia": True, "preview": True, "delay_aware": True}
     return {

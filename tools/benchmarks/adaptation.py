@@ -18,7 +18,7 @@ import numpy as np
 from common import RESULTS, ROOT, made_by, progress_bar
 
 from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis
-from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, PaperProfile, RestSection
+from fffo_drive.config.sections import AdaptationSection, PaperProfile
 from fffo_drive.config.session import session_config
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.adaptation import EXCITED_SHARE, adaptation_at_start, adapted_torque
@@ -67,14 +67,7 @@ class Found(NamedTuple):
 def axis_with(adaptation: AdaptationSection) -> AxisFile:
     """PI+FFFO+ as in the scenario."""
     axis = read_axis(AXIS)
-    changed = {
-        "observer": axis.controller.observer.model_copy(update={"learns_in": "integral"}),
-        "at_rest": RestSection(gain_share=0.5, release_friction=True),
-        "feedforward": FeedforwardSection(inertia=True, preview=True, delay_aware=True),
-        "error_filter_s": 0.0002,
-        "adaptation": adaptation,
-    }
-    return axis.model_copy(update={"controller": axis.controller.model_copy(update=changed)})
+    return axis.model_copy(update={"controller": axis.controller.model_copy(update={"adaptation": adaptation})})
 
 
 def minutes_of(warm_up: WarmUp, period_s: float) -> list[Profile]:

@@ -171,8 +171,6 @@ def axis_file(seed: int, duration_s: float) -> AxisFile:
         "name": "adoption", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
         "controller": {
             "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 12,
-            "observer": {"learns_in": "integral"},
-            "feedforward": {"inertia": True, "preview": True, "delay_aware": True}, "error_filter_s": 0.0002,
         },
         "envelope": {
             "current_limit_a": 14, "continuous_current_a": 14, "speed_limit_rps": 25, "following_error_rps": 8,

@@ -62,18 +62,19 @@ def run_job(job: Job) -> Found:
 def margins_of(plant: PlantConfig, candidate: Candidate) -> Margins:
     """Linear margins on the axis as it is, effects left out."""
     controller = candidate.controller
+    filter_s = -controller.period_s / math.log1p(-controller.error_share) if controller.error_share < 1.0 else 0.0
     linear = LinearAxis(
         inertia_nm_s2_per_rev(plant.inertia_kg_m2),
         plant.friction.viscous_nm_per_rps,
         plant.delay_s + plant.extra_delay_s,
         # a command in A makes the torque of the real constant
         plant.torque_constant_nm_per_a,
+        error_filter_s=filter_s,
     )
     gain = controller.observer.gain_nm_per_rev if candidate.toggle else 0.0
     real = gain * plant.torque_constant_nm_per_a / controller.torque_constant_nm_per_a
-    filter_s = -controller.period_s / math.log1p(-controller.error_share) if controller.error_share < 1.0 else 0.0
     gains = controller.pi.proportional_a_per_rps, controller.pi.integral_a_per_rev, real
-    return loop_margins(linear, *gains, filter_s)
+    return loop_margins(linear, *gains)
 
 
 def scaled_gains(candidate: Candidate, factor: float) -> Candidate:

@@ -111,7 +111,7 @@ def scenario_of(base: Scenario, point: Point) -> Scenario:
         "integral_a_per_rev": point.proportional_a_per_rps / point.integral_time_s,
         "gain_nm_per_rev": point.observer_nm_per_rev,
         "feedback_band_rps": point.feedback_band_rps,
-        "feedforward": FeedforwardSection(preview=point.preview),
+        "feedforward": FeedforwardSection(inertia=False, preview=point.preview, delay_aware=False),
     }
     wrong = {"friction_share": point.mismatch_share, "signs": point.mismatch_signs}
     changes = {

@@ -18,7 +18,7 @@ from common import RESULTS, ROOT, made_by, progress_bar
 
 from fffo_drive.config.checks import law_margins, rest_margins
 from fffo_drive.config.scenario import ControllerVariant, Scenario, axis_of, cases_of, read_scenario
-from fffo_drive.config.sections import FeedforwardSection, RestSection, VelocitySection
+from fffo_drive.config.sections import VelocitySection
 from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS
 from fffo_drive.control.stability import Margins
 from fffo_drive.evaluation.campaign import Case, simulate, warm_up
@@ -57,13 +57,10 @@ def plus(bandwidth_hz: float | None = None, scale: float = 1.0, filter_s: float 
     )  # fmt: skip
     return ControllerVariant(
         toggle="ff",
-        feedforward=FeedforwardSection(inertia=True, preview=True, delay_aware=True),
         proportional_a_per_rps=scale * section.proportional_a_per_rps,
         integral_a_per_rev=scale**2 * section.integral_a_per_rev,
         gain_nm_per_rev=scale**2 * section.observer.gain_nm_per_rev,
         error_filter_s=filter_s,
-        learns_in="integral",
-        at_rest=RestSection(gain_share=0.5, release_friction=True),
         velocity=velocity,
     )
 
@@ -104,7 +101,7 @@ def retuned(scenario: Scenario, bandwidth_hz: float, filter_s: float) -> float:
 
 def variants(scenario: Scenario) -> dict[str, ControllerVariant]:
     """Everything that is compared on one sensor."""
-    found = {BASE: ControllerVariant(toggle="ff"), PLUS: plus()}
+    found = {BASE: ControllerVariant(law="paper", toggle="ff"), PLUS: plus()}
     for bandwidth_hz in BANDWIDTHS_HZ:
         found[f"estimated {bandwidth_hz:g} Hz, same gains"] = plus(bandwidth_hz)
     for filter_s in (FILTER_S, 0.0):

@@ -42,9 +42,7 @@ class ObserverGains(NamedTuple):
     margins: Margins
 
 
-def observer_margins(
-    axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, form: ObserverForm, error_filter_s: float = 0.0
-) -> Margins:
+def observer_margins(axis: LinearAxis, proportional_a_per_rps: float, bandwidth: float, form: ObserverForm) -> Margins:
     """Margins of P or PI with an observer of bandwidth `bandwidth` (rad/s) and the error's filter."""
     omega = sweep_rad_per_s()
     s = 1j * omega
@@ -53,18 +51,18 @@ def observer_margins(
         low_pass = low_pass * (bandwidth + beyond) / (s + bandwidth + beyond)
     inertia = axis.inertia_nm_s2_per_rev * s
     feedback = proportional_a_per_rps * axis.torque_constant_nm_per_a * (1.0 + form.integral_per_s / s)
-    feedback = feedback / (1.0 + error_filter_s * s)
+    feedback = feedback / (1.0 + axis.error_filter_s * s)
     known = low_pass * np.exp((form.earlier_s - axis.delay_s) * s)
     controller = (feedback + low_pass * inertia * np.exp(form.earlier_s * s)) / (1.0 - known)
     rational = controller / (inertia + axis.damping_nm_per_rps)
     return margins_of(omega, rational, axis.delay_s)
 
 
-def observer_gains(axis: LinearAxis, form: ObserverForm, wish: Wish, error_filter_s: float = 0.0) -> ObserverGains:
+def observer_gains(axis: LinearAxis, form: ObserverForm, wish: Wish) -> ObserverGains:
     """Gains with the required margins and the largest integral action. Raises ValueError if there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
     found = [
-        _gains_at(axis, float(crossover), form, wish, error_filter_s)
+        _gains_at(axis, float(crossover), form, wish)
         for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS)
     ]
     held = [gains for gains in found if gains.bandwidth_rad_per_s > 0.0]
@@ -79,14 +77,12 @@ def _integral_action(axis: LinearAxis, form: ObserverForm, gains: ObserverGains)
     return gains.proportional_a_per_rps / (behind_s + axis.delay_s - form.earlier_s)
 
 
-def _gains_at(
-    axis: LinearAxis, crossover: float, form: ObserverForm, wish: Wish, error_filter_s: float
-) -> ObserverGains:
+def _gains_at(axis: LinearAxis, crossover: float, form: ObserverForm, wish: Wish) -> ObserverGains:
     """At a crossover (rad/s) of P alone, with the largest bandwidth that has the margins; 0 where none has."""
     proportional = crossover * axis.inertia_nm_s2_per_rev / axis.torque_constant_nm_per_a
 
     def margins(bandwidth: float) -> Margins:
-        return observer_margins(axis, proportional, bandwidth, form, error_filter_s)
+        return observer_margins(axis, proportional, bandwidth, form)
 
     bandwidth = largest_that(LARGEST_BANDWIDTH / axis.delay_s, lambda bandwidth: wish.is_met(margins(bandwidth)))
     return ObserverGains(proportional, bandwidth, margins(bandwidth))

@@ -176,10 +176,10 @@ def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps:
         viscous_nm_per_rps,
         numbers.delay_s,
         numbers.torque_constant_nm_per_a,
+        error_filter_s=error_filter_s(plus),
     )
-    filter_s = error_filter_s(plus)
     margins = loop_margins(
-        axis, plus.pi.proportional_a_per_rps, plus.pi.integral_a_per_rev, plus.observer.gain_nm_per_rev, filter_s
+        axis, plus.pi.proportional_a_per_rps, plus.pi.integral_a_per_rev, plus.observer.gain_nm_per_rev
     )
     wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
     forms = (
@@ -187,7 +187,7 @@ def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps:
         ObserverForm(ESO_ORDER * (0.0,)),
         friction_form(plus, numbers, plus.observer.friction),
     )
-    return PeerDesign(numbers, margins, *(observer_gains(axis, form, wish, filter_s) for form in forms))
+    return PeerDesign(numbers, margins, *(observer_gains(axis, form, wish) for form in forms))
 
 
 def friction_form(plus: ControllerConfig, numbers: AxisNumbers, friction: FrictionConfig) -> ObserverForm:
