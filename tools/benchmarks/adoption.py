@@ -18,8 +18,9 @@ sys.path.insert(0, str(ROOT / "tests" / "identification"))
 from refit import EffectsFit, fit_effects
 from rig import PERIOD_S, TABLE_1, record
 
-from fffo_drive.config.axis import AxisFile, build_profile
+from fffo_drive.config.axis import AxisFile, build_profile, read_axis
 from fffo_drive.config.effects import compensated_terms, effect_problems
+from fffo_drive.config.sections import PaperProfile
 from fffo_drive.config.session import session_config
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import Profile
@@ -38,6 +39,7 @@ from fffo_drive.runtime.session import Session
 from fffo_drive.units import inertia_kg_m2
 
 NAME = "adoption"
+AXIS = ROOT / "configs" / "axis_simulated.yaml"
 PURPOSE = (
     "Each compensable effect, with 30 % of the Coulomb friction, on the simulated axis under PI+FFFO+. An "
     "identification current and the recipe are recorded and the model is refitted without and with the effect "
@@ -166,17 +168,9 @@ def _fall(before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> float:
 
 
 def axis_file(seed: int, duration_s: float) -> AxisFile:
-    """PI+FFFO+ on the simulated drive."""
-    return AxisFile.model_validate({
-        "name": "adoption", "drive": {"kind": "simulated", "file": "none"}, "model": "none",
-        "controller": {
-            "proportional_a_per_rps": 0.975, "integral_a_per_rev": 9.75, "current_limit_a": 12,
-        },
-        "envelope": {
-            "current_limit_a": 14, "continuous_current_a": 14, "speed_limit_rps": 25, "following_error_rps": 8,
-        },
-        "profile": {"kind": "paper", "duration_s": duration_s, "seed": seed},
-    })  # fmt: skip
+    """The example on the simulated drive, on another reference."""
+    profile = PaperProfile(kind="paper", duration_s=duration_s, seed=seed)
+    return read_axis(AXIS).model_copy(update={"profile": profile})
 
 
 class Driven(NamedTuple):

@@ -8,6 +8,8 @@ Each axis has every number, its delay and its noise spread by half, one of five 
 resolver or an encoder (tools/trial_axes/random_axis.wide_axis). Axes that no controller can bring to rest are
 counted apart (tools/trial_axes/passivity). The chain gets only the torque constant, 5 % wrong:
 `commission` begins with an assumed inertia and delay; `tune` designs for the longer of its delay and the fitted one.
+Every file is written by the function that the command writes it with (chain_files.py), and the axis file that `tune`
+writes is run as it is.
 
 A thousand axes take over an hour. With `--rows` the results are saved after every batch, and the same command resumes
 after an interruption. The table names the commits that the rows were measured at.
@@ -22,52 +24,29 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
+from chain_files import Chain
 from common import RESULTS, ROOT, commit, made_by, progress_bar
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import RandomAxis, wide_axis
 from trial_axes.robustness import CYCLE, HUNTING, STABLE, TRIPPED, UNSTABLE, probe
 
 from fffo_drive.arrays import Floats
-from fffo_drive.commissioning.bounds import make_bounds
-from fffo_drive.commissioning.procedure import commission
-from fffo_drive.commissioning.record import FAILED, DeclaredFacts
-from fffo_drive.config.axis import controller_config
-from fffo_drive.config.commissioning import NOT_COMMISSIONED, Commissioned, commissioned_in
+from fffo_drive.config.axis import TOGGLES, controller_config, model_of, read_axis
 from fffo_drive.config.scenario import case_of, read_scenario
-from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.envelope import TRIP_NONE
-from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from fffo_drive.control.position_hold import NO_HOLD
-from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
-from fffo_drive.control.stability import linear_axis
-from fffo_drive.diagnosis.diagnose import diagnose
+from fffo_drive.control.reference import MODE_VELOCITY, piecewise_linear
 from fffo_drive.documents import DocumentError
-from fffo_drive.drive.cia402 import STATUS_INTERNAL_LIMIT
-from fffo_drive.drive.simulated.in_process import SimulatedDrive
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
-from fffo_drive.identification.dataset import DataError, Record, where_command_acts
-from fffo_drive.identification.excitation import frequency_response_chirp, identification_sequence
-from fffo_drive.identification.facts import DriveFacts
-from fffo_drive.identification.fit import FitSettings, fit_records
-from fffo_drive.identification.results import model_file
-from fffo_drive.identification.tuning import Wish
-from fffo_drive.model.parameters import ModelFile
-from fffo_drive.recording.ring_reader import RingReader
-from fffo_drive.runtime.session import Session
-from fffo_drive.workflows.tune import needs_diagnosis, tune
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
 FRESH = 3000  # no choice was made on axes from here on
 TORQUE_CONSTANT_SHARE = 0.05  # by which the data sheet is wrong, with a random sign
-RATED_A = 8.3
-CHIRP_S = 40.0
-CHIRP_A = (0.3, 1.1)  # with the torque constant of the nominal axis
-MORE_CURRENT = 2.0  # times as much where `identify` asks for it: axes 8369 and 8764 moved in 4 and 2 % of the chirp
-SWEEP_S, SWEEP_A, SWEEP_HZ = 30.0, 0.8, (0.1, 50.0)  # what determines the delay
 REST_S = 6.8
 CREEP_FROM_S, CREEP_TO_S = 0.7, 5.7  # after the stop: five seconds, when the contact has unloaded
 # over which a position is averaged, with the weights of a Hann window: a periodic disturbance is no creep. One of
@@ -117,111 +96,12 @@ def declared_nm_per_a(axis: RandomAxis) -> float:
     return axis.plant.torque_constant_nm_per_a * (1.0 + wrong)
 
 
-def commission_axis(case: Case, assumed: ModelFile, constant_nm_per_a: float) -> Commissioned:
-    """What `commission` measures with the assumed numbers of a new axis. ValueError: it has not passed."""
-    guesses = {
-        key: getattr(assumed, key).model_copy(update={"source": "assumed"}) for key in ("inertia_kg_m2", "delay_s")
-    }
-    model = assumed.model_copy(update={"torque_constant_nm_per_a": constant_nm_per_a, **guesses})
-    facts = DeclaredFacts(drive_kind="simulated", torque_constant_nm_per_a=constant_nm_per_a)
-    drive = SimulatedDrive(case.plant, case.device)
-    found = commission(drive, case.session, model, facts, make_bounds(case.session.envelope)).checks
-    failed = [check for check in found if check.verdict == FAILED]
-    if failed:
-        raise ValueError(f"commission: {failed[0].name}: {failed[0].text}")
-    return commissioned_in(found)
-
-
-def excite(case: Case, profile: Profile, controller: ControllerConfig, constant_nm_per_a: float) -> Record:
-    """A run of the profile from power-on, as a record."""
-    drive = SimulatedDrive(case.plant, case.device)
-    drive.connect()
-    session = Session(drive, case.session._replace(controller=controller))
-    session.run_profile(profile, TOGGLE_OFF)
-    rows = RingReader(session.ring).read().rows
-    rows = rows[rows["profile_sample"] >= 0]
-    columns = {name: np.ascontiguousarray(rows[name]) for name in ("position_rev", "velocity_rps")}
-    limited = rows["statusword"] & STATUS_INTERNAL_LIMIT != 0
-    record = Record(
-        name=profile.name, path=Path(profile.name), period_s=profile.period_s,
-        torque_constant_nm_per_a=constant_nm_per_a, current_a=np.ascontiguousarray(rows["current_command_a"]),
-        reference_rps=None, lsb_rev=2.0**-case.plant.resolver.bits, breaks=(), digest="",
-        limited=limited if limited.any() else None, **columns,
-    )  # fmt: skip
-    return where_command_acts(record)
-
-
-def excitations(
-    case: Case, controller: ControllerConfig, constant_nm_per_a: float, factor: float = 1.0
-) -> list[Record]:
-    """Runs of the paper's two chirps of current, `factor` times as large."""
-    scale = factor * 0.148 / constant_nm_per_a
-    period_s = case.session.loop.period_ns * 1e-9
-    chirp = identification_sequence(CHIRP_S, period_s, scale * CHIRP_A[0], scale * CHIRP_A[1], 0.01, 10.0)
-    fast = frequency_response_chirp(SWEEP_S, period_s, scale * SWEEP_A, *SWEEP_HZ)
-    return [excite(case, profile, controller, constant_nm_per_a) for profile in (chirp, fast)]
-
-
-def facts_of(constant_nm_per_a: float) -> DriveFacts:
-    """What the name plate says."""
-    return DriveFacts(torque_constant_nm_per_a=constant_nm_per_a, rated_current_a=RATED_A)
-
-
-def identified(
-    case: Case, number: int, controller: ControllerConfig, constant_nm_per_a: float
-) -> tuple[ModelFile, list[Record]]:
-    """The model of the axis, and the runs that it is from: with twice the current where `identify` asks for more (Fc in
-    doubt).
-    """
-    for factor in (1.0, MORE_CURRENT):
-        records = excitations(case, controller, constant_nm_per_a, factor)
-        fit = fit_records(records, FitSettings(compare_literal=False), facts_of(constant_nm_per_a))
-        if all(doubt.name != "coulomb_nm" for doubt in fit.uncertainty.doubts):
-            break
-    return model_file(fit, records, f"axis {number}"), records
-
-
-def diagnosed_where_advised(
-    records: list[Record], constant_nm_per_a: float, model: ModelFile, measured: Commissioned
-) -> ModelFile:
-    """Where `tune` advises it, the model with what `diagnose` finds on the runs of `identify`; else, and where it finds
-    nothing or cannot tell, the model as it is.
-    """
-    if not needs_diagnosis(model, measured):
-        return model
-    try:
-        found = diagnose(records, [], facts_of(constant_nm_per_a))
-    except DataError:
-        return model
-    return model if found.model_after is None else found.model_after
-
-
-def tuned(base: Any, model: ModelFile, measured: Commissioned) -> tuple[Candidate, float, float]:
-    """PI+FFFO+ with the gains that `tune` writes; phase margin, share at rest. DocumentError: refused."""
-    found = tune(model, linear_axis(model, base.loop.period_s), Wish(), measured).design
-    section = base.controller
-    observer = section.observer.model_copy(
-        update={"gain_nm_per_rev": found.gains.observer_nm_per_rev, "learns_in": "integral"}
+def tuned_candidate(chain: Chain) -> Candidate:
+    """What `run` makes of the axis file that `tune` wrote."""
+    axis = read_axis(chain.tuned)
+    return Candidate(
+        "tuned", TOGGLES[axis.controller.observer.toggle], controller_config(axis, model_of(chain.tuned, axis))
     )
-    at_rest = {
-        "gain_share": found.gains.rest_share,
-        "release_friction": True,
-        "hold_a_per_rev_s": found.gains.hold_a_per_rev_s,
-    }
-    rest = section.at_rest.model_copy(update=at_rest)
-    feedforward = section.feedforward.model_copy(update={"inertia": True, "preview": True, "delay_aware": True})
-    changed = section.model_copy(
-        update={
-            "proportional_a_per_rps": found.gains.proportional_a_per_rps,
-            "integral_a_per_rev": found.gains.integral_a_per_rev,
-            "observer": observer,
-            "at_rest": rest,
-            "feedforward": feedforward,
-        }
-    )
-    axis_file = base.model_copy(update={"controller": changed})
-    controller = controller_config(axis_file, model)
-    return Candidate("tuned", TOGGLE_FEEDFORWARD, controller), found.margins_observer.phase_deg, found.gains.rest_share
 
 
 def at_rest_counts(case: Case, candidate: Candidate) -> tuple[float, float]:
@@ -256,24 +136,23 @@ def run_job(job: Job) -> Outcome:
     began = time.perf_counter()
     axis = job.axis
     case = job.case._replace(plant=axis.plant)
-    scenario = read_scenario(SCENARIO)
     nominal = next(c for c in job.case.candidates if c.name == "pi+fffo+")
     passive = comes_to_rest(axis.plant)
     true_s = axis.plant.delay_s - 0.5 * case.session.loop.period_ns * 1e-9  # without the hold
     as_today = probe(case, nominal).verdict, at_rest_counts(case, nominal)[0]
     candidate, phase_deg, share, refused = None, math.nan, math.nan, ""
-    measured, fitted_s = NOT_COMMISSIONED, math.nan
-    constant_nm_per_a = declared_nm_per_a(axis)
-    try:
-        measured = commission_axis(case, scenario.model, constant_nm_per_a)
-        model, records = identified(case, axis.number, nominal.controller, constant_nm_per_a)
-        fitted_s = model.delay_s.value
-        model = diagnosed_where_advised(records, constant_nm_per_a, model, measured)
-        candidate, phase_deg, share = tuned(scenario.axis, model, measured)
-    except (ValueError, DocumentError) as error:
-        refused = str(error).splitlines()[0]
-    except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
-        refused = f"{CRASHED}: {type(error).__name__}: {error}"
+    measured_s, fitted_s = math.nan, math.nan
+    with TemporaryDirectory(prefix="chain_") as place:
+        chain = Chain(Path(place))
+        try:
+            found = chain.type(axis.plant, declared_nm_per_a(axis))
+            phase_deg, share = found.design.margins_observer.phase_deg, found.design.gains.rest_share
+            candidate = tuned_candidate(chain)
+        except (ValueError, DocumentError) as error:
+            refused = str(error).splitlines()[0]
+        except Exception as error:  # a fault of the program: counted, so that an hour's work is not lost with it
+            refused = f"{CRASHED}: {type(error).__name__}: {error}"
+        measured_s, fitted_s = chain.delays_s()
     verdict, creep, swing = (CRASHED if refused.startswith(CRASHED) else "refused", math.nan, math.nan)
     unheld = verdict, math.nan
     if candidate is not None:
@@ -284,7 +163,7 @@ def run_job(job: Job) -> Outcome:
     return Outcome(
         axis.number, axis.law, axis.effects, passive, refused, verdict, as_today[0], creep, as_today[1],
         *unheld, phase_deg, share, time.perf_counter() - began,
-        math.nan if measured.delay_s is None else measured.delay_s - true_s, fitted_s - true_s, commit(),
+        measured_s - true_s, fitted_s - true_s, commit(),
         swing,
     )  # fmt: skip
 

@@ -14,6 +14,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -21,31 +22,24 @@ from chain import (
     MOST_CREEP_COUNTS,
     SCENARIO,
     at_rest_counts,
-    commission_axis,
     declared_nm_per_a,
-    diagnosed_where_advised,
-    facts_of,
-    identified,
     read_rows,
-    tuned,
+    tuned_candidate,
 )
+from chain_files import Chain, records_of
 from common import RESULTS, made_by, progress_bar
 from trial_axes.random_axis import wide_axis
 from trial_axes.robustness import PLATEAU_S, RAMP_S, SPEEDS_RPS, STABLE, probe, probe_profiles
 
-from fffo_drive.config.commissioning import Commissioned
-from fffo_drive.config.scenario import Scenario, case_of, read_scenario
+from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.envelope import LIMIT_CONTROLLER, LIMIT_CURRENT
-from fffo_drive.control.stability import linear_axis
 from fffo_drive.diagnosis.diagnose import diagnose
 from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.parameters import noiseless
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate, warm_up
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification.dataset import DataError
-from fffo_drive.identification.tuning import Wish
-from fffo_drive.model.parameters import ModelFile
-from fffo_drive.workflows.tune import tune
+from fffo_drive.workflows.tune import Tuned
 
 STICK_SLIP = "stick-slip"  # a word of the warning of tune
 SETTLED_S = 1.0  # the last of a plateau
@@ -69,11 +63,9 @@ class Cause(NamedTuple):
     verdict_diagnosed: str  # of the loop that tune designs for the diagnosed model
 
 
-def stick_slip_speeds(scenario: Scenario, model: ModelFile, measured: Commissioned) -> str:
+def stick_slip_speeds(tuned: Tuned) -> str:
     """The range that tune warns of, as in its message."""
-    period_s = scenario.axis.loop.period_s
-    warnings = tune(model, linear_axis(model, period_s), Wish(), measured).design.warnings
-    said = [text for text in warnings if STICK_SLIP in text]
+    said = [text for text in tuned.design.warnings if STICK_SLIP in text]
     return said[0].partition(" expect")[0].removeprefix("from ") if said else ""
 
 
@@ -97,28 +89,27 @@ def fastest_rps(case: Case, candidate: Candidate) -> float:
 def cause_of(job: tuple[int, str, float, Case]) -> Cause:
     """Everything about one axis."""
     number, verdict, creep_counts, case = job
-    scenario = read_scenario(SCENARIO)
     axis = wide_axis(case.plant, number)
-    nominal = next(c for c in case.candidates if c.name == "pi+fffo+")
     case = case._replace(plant=axis.plant)
-    constant_nm_per_a = declared_nm_per_a(axis)
-    measured = commission_axis(case, scenario.model, constant_nm_per_a)
-    model, runs = identified(case, number, nominal.controller, constant_nm_per_a)
-    followed = diagnosed_where_advised(runs, constant_nm_per_a, model, measured)
-    candidate, _, _ = tuned(scenario.axis, followed, measured)
-    accepted: tuple[str, ...] = ()
-    try:
-        found = diagnose(runs, [], facts_of(constant_nm_per_a))
-        accepted = tuple(finding.name for finding in found.findings if finding.accepted)
-        after = "nothing found"
-        if found.model_after is not None:
-            after = probe(case, tuned(scenario.axis, found.model_after, measured)[0]).verdict
-    except (DataError, DocumentError) as error:
-        after = f"refused: {str(error).splitlines()[0]}"
+    with TemporaryDirectory(prefix="chain_") as place:
+        chain = Chain(Path(place))
+        tuned = chain.type(axis.plant, declared_nm_per_a(axis))
+        candidate = tuned_candidate(chain)
+        accepted: tuple[str, ...] = ()
+        try:
+            facts, runs = records_of(chain.logs)
+            found = diagnose(runs, [], facts)
+            accepted = tuple(finding.name for finding in found.findings if finding.accepted)
+            after = "nothing found"
+            if found.model_after is not None:
+                chain.take_diagnosed(found.model_after)
+                chain.tune()
+                after = probe(case, tuned_candidate(chain)).verdict
+        except (DataError, DocumentError) as error:
+            after = f"refused: {str(error).splitlines()[0]}"
     return Cause(
         number, axis.law, axis.effects, verdict, creep_counts, probe(case, candidate).verdict,
-        at_rest_counts(case, candidate)[0], stick_slip_speeds(scenario, model, measured),
-        fastest_rps(case, candidate), accepted, after,
+        at_rest_counts(case, candidate)[0], stick_slip_speeds(tuned), fastest_rps(case, candidate), accepted, after,
     )  # fmt: skip
 
 

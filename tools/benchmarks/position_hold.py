@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +24,11 @@ from chain import (
     COUNTS_PER_REV,
     MOST_CREEP_COUNTS,
     SCENARIO,
-    commission_axis,
     crept_counts,
     declared_nm_per_a,
-    diagnosed_where_advised,
-    identified,
-    tuned,
+    tuned_candidate,
 )
+from chain_files import Chain
 from common import Report, finish, main, paired_ratio, parser, shown
 from trial_axes.passivity import comes_to_rest
 from trial_axes.random_axis import RandomAxis, wide_axis
@@ -210,20 +209,18 @@ def read_rows(path: Path) -> list[Outcome]:
 
 def outcome_of(job: Job) -> Outcome:
     """The chain on an axis, then every variant."""
-    axis, scenario = job.axis, read_scenario(SCENARIO)
+    axis = job.axis
     case = job.case._replace(plant=axis.plant)
-    nominal = next(c for c in job.case.candidates if c.name == "pi+fffo+")
-    constant_nm_per_a = declared_nm_per_a(axis)
     if not comes_to_rest(axis.plant):
         return Outcome(axis.number, axis.law, "gives energy", {})
-    try:
-        measured = commission_axis(case, scenario.model, constant_nm_per_a)
-        model, records = identified(case, axis.number, nominal.controller, constant_nm_per_a)
-        model = diagnosed_where_advised(records, constant_nm_per_a, model, measured)
-        candidate, _, _ = tuned(scenario.axis, model, measured)
-    except (ValueError, DocumentError) as error:
-        return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
-    laws = variants_of(candidate.controller, 1.0 / model.friction_config().stiffness_per_rev)
+    with TemporaryDirectory(prefix="chain_") as place:
+        chain = Chain(Path(place))
+        try:
+            chain.type(axis.plant, declared_nm_per_a(axis))
+            candidate = tuned_candidate(chain)
+        except (ValueError, DocumentError) as error:
+            return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
+    laws = variants_of(candidate.controller, 1.0 / candidate.controller.observer.friction.stiffness_per_rev)
     found = {name: figures_of(case, candidate._replace(controller=law)) for name, law in laws.items()}
     tripped = [name for name, figures in found.items() if figures is None]
     if tripped:
