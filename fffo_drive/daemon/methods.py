@@ -390,7 +390,7 @@ class Api:
 
         if wanted.wait_s == 0 or await supervisor.reached(lambda: seen()["reached"], wanted.wait_s):
             return seen()
-        raise await self._not_reached("standstill", "")
+        raise await self._not_reached("standstill")
 
     async def _reached(
         self, condition: Callable[[], bool], wait_s: float, what: str, hopeless: Callable[[], bool] | None = None
@@ -403,11 +403,12 @@ class Api:
         came = await supervisor.reached(lambda: condition() or no_more(), wait_s)
         if came and condition():
             return self._now(True)
-        raise await self._not_reached(what, supervisor.not_enabled if hopeless is not None else "")
+        raise await self._not_reached(what, hopeless is not None)
 
-    async def _not_reached(self, what: str, said: str) -> RpcError:
+    async def _not_reached(self, what: str, enabling: bool = False) -> RpcError:
         supervisor = self.supervisor
         await supervisor.heard_out()
+        said = supervisor.not_enabled if enabling else ""
         said = supervisor.fault.text if supervisor.fault is not None else said
         reason = f": {said}" if said else ""
         if not reason and supervisor.state in (State.OFFLINE, State.CONNECTED) and supervisor.obstacles:
