@@ -1,7 +1,7 @@
 """Records to flat arrays of float64 and back, made from the records' own definitions: no place is counted by hand.
 
-A record is a NamedTuple whose fields are float, int, bool or another such record. The functions that read one back are
-plain functions that numba compiles: hand them to `njit`.
+A record is a NamedTuple whose fields are float, int, bool or another such record. The functions that read one back,
+and those that write one without making an array, are plain functions that numba compiles: hand them to `njit`.
 """
 
 from __future__ import annotations
@@ -51,6 +51,28 @@ def reader(record: type[Any], called: str) -> Callable[[Any], Any]:
     made.__doc__ = f"{record.__name__} from the {len(flat_names(record))} numbers of `pack`."
     made.__module__ = record.__module__
     return made
+
+
+def writer(record: type[Any], called: str) -> Callable[[Any, Any], None]:
+    """The function `called(record, block)` that writes the numbers of `pack` into the front of an array."""
+    lines = [f"    block[{place}] = {value}" for place, value in enumerate(_values(record, "record"))]
+    text = "\n".join([f"def {called}(record, block):", *lines, ""])
+    space: dict[str, Any] = {}
+    exec(compile(text, __file__, "exec"), space)
+    made: Callable[[Any, Any], None] = space[called]
+    made.__doc__ = f"The {len(lines)} numbers of {record.__name__}, as `pack` has them, into `block`."
+    made.__module__ = record.__module__
+    return made
+
+
+def _values(record: type[Any], place: str) -> Iterator[str]:
+    hints = get_type_hints(record)
+    for name in record._fields:
+        kind = hints[name]
+        if hasattr(kind, "_fields"):
+            yield from _values(kind, f"{place}.{name}")
+        else:
+            yield f"1.0 if {place}.{name} else 0.0" if kind is bool else f"float({place}.{name})"
 
 
 def _construction(record: type[Any], classes: dict[str, type[Any]], places: Iterator[int]) -> str:

@@ -17,6 +17,8 @@ TWO_PI = 2.0 * math.pi
 NS_PER_S = 1_000_000_000
 PERMILLE = 1000.0
 S_PER_MIN = 60.0
+S_PER_HOUR = 3600.0
+S_PER_DAY = 86_400.0
 MAD_TO_SD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 NORMAL_95 = 1.96  # standard deviations to each side of the two-sided 95 % interval of a normal distribution
 

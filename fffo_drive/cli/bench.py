@@ -21,6 +21,7 @@ from rich.table import Table
 from ..can.link import free_loopback_port
 from ..config.axis import recorder_settings
 from ..config.drive_section import CanopenDriveSection
+from ..config.runaway import accepted_words
 from ..control.friction_observer import TOGGLE_FEEDBACK, TOGGLE_FEEDFORWARD, TOGGLE_OFF
 from ..documents import refuse
 from ..drive.port import Drive, DriveIdentity
@@ -76,6 +77,8 @@ def execute(options: argparse.Namespace) -> int:
     out = Path(options.out) / timestamp_name("bench", time.time_ns())
     out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True, quiet=options.json)
+    for text in accepted_words(plan.axis, plan.model):
+        console.print(f"warning: {text}", soft_wrap=True)
     console.print(f"simulated drive and controller on {bus}; the first start compiles the loop", soft_wrap=True)
     with SimulatedProcess(Path(options.drive), bus) as process:
         drive = open_drive(plan, bus)

@@ -26,6 +26,7 @@ from ..commissioning.procedure import NextMotion, NotAgreedError
 from ..commissioning.record import FAILED, NOT_DONE, OK, WARNING, CheckRecord, CommissioningRecord
 from ..config.drive_section import CanopenDriveSection
 from ..config.resolution import coarse_words, resolution_lines
+from ..config.runaway import accepted_words
 from ..workflows.commission import accept_record, bounds_of, commission_axis, commissioning_plan, record_path
 from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan
@@ -67,7 +68,7 @@ def execute(options: argparse.Namespace) -> int:
     console = Console(stderr=True, quiet=options.json)
     for line in resolution_lines(plan.axis, plan.model):
         console.print(line, soft_wrap=True, highlight=False)
-    for text in coarse_words(plan.axis, plan.model):
+    for text in (*accepted_words(plan.axis, plan.model), *coarse_words(plan.axis, plan.model)):
         console.print(f"warning: {text}", soft_wrap=True, highlight=False)
     console.print(
         f"the axis will move: at most {bounds.current_a:g} A, {bounds.speed_rps:g} rps, {bounds.travel_rev:g} rev from "

@@ -15,6 +15,7 @@ import json
 import shutil
 import textwrap
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..documents import StrictRecord, sentence
@@ -171,7 +172,10 @@ def _check(plan: Plan) -> None:
     from ..config.drive_section import CanopenDriveSection
     from ..config.law_costs import law_costs
     from ..config.resolution import coarse_words, resolution_lines
+    from ..config.runaway import accepted_words, runaway_lines
     from ..control.friction_observer import TOGGLE_OFF
+    from ..recording.disk import life_text
+    from ..workflows.recordings import expected_disk_life
 
     axis, model = plan.axis, plan.model
     margins = law_margins(axis, model, plan.toggle != TOGGLE_OFF)
@@ -196,7 +200,11 @@ def _check(plan: Plan) -> None:
                 f"  warning: the worst case is {-chain.slack_s * 1e6:.0f} us beyond the period: a command that "
                 "arrives after the next SYNC acts one period later (the drive counts an old set-point)"
             )
-    for text in coarse_words(axis, model):
+    for line in runaway_lines(axis, model):
+        print(f"  {line}")
+    directory = Path(axis.recording.directory)
+    print(f"  recordings in {directory}: {life_text(expected_disk_life(axis, directory))}")
+    for text in (*accepted_words(axis, model), *coarse_words(axis, model)):
         print(f"  warning: {text}")
     for cost in law_costs(axis, model, plan.profile, plan.toggle != TOGGLE_OFF):
         print(f"  law: {cost}")

@@ -253,6 +253,8 @@ def _status_text(status: dict[str, Any]) -> str:
     if recording["on"]:
         trouble = f"; {recording['trouble']}" if recording["trouble"] else ""
         lines.append(f"recording to {recording['file']}, {recording['rows_written']} rows{trouble}")
+        if recording.get("disk_life"):  # an older daemon has none
+            lines.append(recording["disk_life"]["text"])
     if status.get("disk"):
         lines.append(status["disk"])
     if status["held_by"]:

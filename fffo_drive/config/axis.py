@@ -64,6 +64,7 @@ from .sections import (
     length_problems,
 )
 
+BLIND_S = 2e-3  # tolerated without velocity feedback where the file does not say: 4 ticks at 2 kHz
 STOP_S = 2.0  # how long a drive may take to let go of its torque
 SPEED_SHARE, CHIRP_SHARE = 0.8, 0.3  # of speed limit and continuous current, for a motion that decides
 TOGGLES = {name: toggle for toggle, name in TOGGLE_NAMES.items()}
@@ -111,6 +112,16 @@ class AxisFile(StrictRecord):
         if largest_rps is not None and largest_rps > self.envelope.speed_limit_rps:
             raise ValueError("daemon.set_points.largest_rps: it must not exceed envelope.speed_limit_rps")
         return self
+
+
+def blind_ticks(axis: AxisFile) -> int:
+    """Ticks without velocity feedback after which the envelope trips."""
+    return axis.envelope.feedback_missing_ticks or default_blind_ticks(axis.loop.rate_hz)
+
+
+def default_blind_ticks(rate_hz: float) -> int:
+    """Where the file does not say."""
+    return max(1, int(BLIND_S * rate_hz))
 
 
 def read_axis(path: str | Path) -> AxisFile:
@@ -267,7 +278,7 @@ def envelope_config(axis: AxisFile) -> env.EnvelopeConfig:
         float(high_rev),
         section.following_error_rps,
         section.following_error_s,
-        section.feedback_missing_ticks,
+        blind_ticks(axis),
         section.status_missing_ticks,
         round(section.heartbeat_timeout_s * NS_PER_S),
         axis.loop.period_s,
@@ -304,14 +315,15 @@ def model_note(model: ModelFile) -> ModelNote:
     return ModelNote(model.name, content_hash(model), model_text(model))
 
 
-def recorder_settings(axis: AxisFile) -> RecorderSettings:
-    """How the recorder works, from the file."""
+def recorder_settings(axis: AxisFile, of_service: bool = False) -> RecorderSettings:
+    """How the recorder works, from the file. Only a service has a quota: a single run deletes nothing."""
     section = axis.recording
+    quota_bytes = section.quota_bytes if of_service else None
     return RecorderSettings(
         flush_interval_s=section.flush_interval_s,
         fsync_interval_s=section.fsync_interval_s,
         compression=section.compression,
-        rotation=RotationPolicy(section.rotate_bytes, section.rotate_s, section.quota_bytes),
+        rotation=RotationPolicy(section.rotate_bytes, section.rotate_s, quota_bytes),
     )
 
 

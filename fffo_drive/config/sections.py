@@ -247,8 +247,21 @@ class EnvelopeSection(StrictRecord):
         float, Field(gt=0, le=60, description="time allowed beyond following_error_rps, s")
     ] = 0.2
     feedback_missing_ticks: Annotated[
-        int, Field(ge=1, le=10_000, description="trips after this many ticks without velocity feedback")
-    ] = 10
+        int | None,
+        Field(
+            ge=1,
+            le=10_000,
+            description="trips after this many ticks without velocity feedback; null: as many as last 2 ms. What the "
+            "axis can gain in them, at current_limit_a, must stay below a fifth of speed_limit_rps",
+        ),
+    ] = None
+    accept_runaway: Annotated[
+        bool,
+        Field(
+            description="run although the axis can gain more speed than that without feedback: for a simulated drive "
+            "on a machine that does not keep time; reported each time"
+        ),
+    ] = False
     status_missing_ticks: Annotated[
         int, Field(ge=1, le=100_000, description="trips after this many ticks without a statusword")
     ] = 100
@@ -319,19 +332,31 @@ class RecordingSection(StrictRecord):
         float | None,
         Field(ge=0.1, le=3600, description="largest loss at a power failure; null: when the kernel writes"),
     ] = None
-    rotate_bytes: Annotated[Bytes | None, Field(description="size at which a new file begins; null: no limit")] = None
+    rotate_bytes: Annotated[
+        Bytes | None, Field(description="size at which a new file begins, bytes; null: no limit")
+    ] = 1_000_000_000
     rotate_s: Annotated[
-        float | None, Field(ge=1, le=86_400, description="time after which a new file begins; null: no limit")
-    ] = None
+        float | None, Field(ge=1, le=86_400, description="time after which a new file begins, s; null: no limit")
+    ] = 3600.0
     quota_bytes: Annotated[
         Bytes | None,
-        Field(description="limit of all recordings in the directory: the oldest finished files are deleted"),
-    ] = None
+        Field(
+            description="limit of the service's recordings of this axis in the directory, bytes: its oldest finished "
+            "files are deleted, with an event; recordings of `run` are neither counted nor deleted; null: no limit"
+        ),
+    ] = 20_000_000_000
 
     @model_validator(mode="after")
     def _roomy(self) -> RecordingSection:
         if self.quota_bytes is not None and self.rotate_bytes is not None and self.quota_bytes < 2 * self.rotate_bytes:
-            raise ValueError("quota_bytes must hold two files of rotate_bytes: one is written, one is kept")
+            raise ValueError(
+                f"quota_bytes must hold two files of rotate_bytes, {self.rotate_bytes}: one is written, one is kept"
+            )
+        if self.quota_bytes is not None and self.rotate_bytes is None and self.rotate_s is None:
+            raise ValueError(
+                "quota_bytes deletes finished files only, and without rotate_bytes and rotate_s the only one is never "
+                "finished: set one of them, or quota_bytes: null"
+            )
         if self.fsync_interval_s is not None and self.fsync_interval_s < self.flush_interval_s:
             raise ValueError("fsync_interval_s must be at least flush_interval_s: rows are flushed, then synced")
         return self

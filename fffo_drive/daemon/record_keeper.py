@@ -7,12 +7,15 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..config.axis import beside, recorder_settings
-from ..recording.events import Level
+from ..recording.disk import life_text
+from ..recording.events import Event, Level
 from ..recording.recorder import Recorder
+from ..recording.rotation import SERVICE
 from ..recording.settings import RecorderHooks, RunHeader
 from ..recording.writer import wall_clock_offset_ns
 from ..runtime.runs import run_metadata, timestamp_name
@@ -67,10 +70,13 @@ class RecordKeeper:
         self.last_files: tuple[Path, ...] = ()
         self._fleet = FleetRecords(log)
         self._store: str | None = None  # of the fleet, for the file that is being written
+        self._loop: asyncio.AbstractEventLoop | None = None  # of the service, for what the recorder's thread tells
+        self._hearing = False  # an event of the recorder's, which has it in its file
 
     async def begin(self, plan: Plan, connection: Connection | None, sources: Sources, toggle: int, note: str) -> str:
         """Begin a file now, or (without a connection, "") with the next connection. Raises OSError."""
         self.wanted = True
+        self._loop = asyncio.get_running_loop()
         if connection is not None:
             self._no_file = "no file is open yet"
         return await self._to_its_end(self._begin(plan, connection, sources, toggle, note))
@@ -140,16 +146,41 @@ class RecordKeeper:
         while path.exists() or path.with_name(path.name + ".part").exists():
             number += 1
             path = directory / f"{timestamp_name(plan.axis.name, time.time_ns())}_{number}.mcap"
-        facts = {"commissioning": note, "source": "daemon", "connection": str(connection.number)}
+        facts = {"commissioning": note, "source": SERVICE, "connection": str(connection.number)}
         # profiles come and go while it records: each has a record of its own
         metadata = run_metadata(plan.axis.name, connection.identity, toggle, plan.profile.period_s, facts)
         header = RunHeader(metadata, (sources.axis, sources.model, *sources.extra), wall_clock_offset_ns())
         recorder = Recorder(
-            connection.session.ring, path, header, recorder_settings(plan.axis), self.hooks, from_now=True,
+            connection.session.ring,
+            path,
+            header,
+            recorder_settings(plan.axis, of_service=True),
+            self._telling_hooks(),
+            from_now=True,
             records=connection.session.records,
-        )  # fmt: skip
+            memory=connection.session,
+        )
         recorder.start()
         return recorder, path
+
+    def _telling_hooks(self) -> RecorderHooks:
+        """The hooks, and events of the recorder that the daemon does not find out itself: what the quota deleted."""
+        if self.hooks.on_event is not None or self._loop is None:
+            return self.hooks
+        loop = self._loop
+
+        def tell(event: Event) -> None:  # on the recorder's thread
+            if "quota_bytes" in event.data:
+                loop.call_soon_threadsafe(self._hear, event)
+
+        return replace(self.hooks, on_event=tell)
+
+    def _hear(self, event: Event) -> None:
+        self._hearing = True
+        try:
+            self._log.add("recording", event.text, Level(event.level), event.data)
+        finally:
+            self._hearing = False
 
     def _stop(self, recorder: Recorder) -> tuple[Path, ...]:
         if recorder.alive:
@@ -176,7 +207,7 @@ class RecordKeeper:
 
     def tell(self, event: Mapping[str, Any]) -> None:
         """An event of the daemon's, into the file."""
-        if self._recorder is not None:
+        if self._recorder is not None and not self._hearing:
             self._recorder.event(LEVELS[event["level"]], "supervisor", event["text"], {"kind": event["kind"]})
 
     def trouble(self) -> str:
@@ -227,7 +258,7 @@ class RecordKeeper:
         if recorder is None:
             files = [str(file) for file in self.last_files]
             return {"on": False, "wanted": self.wanted, "file": None, "finished": files, "trouble": self.trouble()}
-        s = recorder.statistics
+        s, life = recorder.statistics, recorder.disk_life
         return {
             "on": True,
             "wanted": self.wanted,
@@ -238,4 +269,5 @@ class RecordKeeper:
             "rows_dropped": s.rows_dropped,
             "write_errors": s.write_errors,
             "trouble": self.trouble(),
+            "disk_life": None if life is None else {**life._asdict(), "text": life_text(life)},
         }

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 
 from .. import __version__
 from ..config.axis import realtime_request
+from ..config.runaway import accepted_words
 from ..documents import DocumentError
 from ..recording.events import Level
 from ..runtime.realtime import require_realtime
@@ -126,6 +127,8 @@ class _Service:
                 attached = await self._attaching.run(options.attach, supervisor, directory)
             self._catch_signals()
             supervisor.log.add("started", f"fffo-drive {__version__} serves {options.file} on {directory}")
+            for text in accepted_words(self.plan.axis, self.plan.model):
+                supervisor.log.add("started", text, Level.WARNING)
             if attached is not None:
                 supervisor.log.add("started", attached.greeting)
             living = asyncio.create_task(supervisor.run())

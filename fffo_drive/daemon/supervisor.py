@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..can.link import LinkError
-from ..config.axis import controller_config, model_note
+from ..config.axis import blind_ticks, controller_config, model_note
 from ..config.commissioning import Permission, permission, require_identity
 from ..config.effects import compensation_table
 from ..control.reference import Profile
@@ -283,7 +283,7 @@ class Supervisor:
             return
         limits = self.plan.axis.envelope
         self.obstacles = self._forbidden() + self._watcher.obstacles(
-            limits.feedback_missing_ticks, limits.status_missing_ticks
+            blind_ticks(self.plan.axis), limits.status_missing_ticks
         )
         self.apply(StateEvent.FORBIDDEN if self.obstacles else StateEvent.PERMITTED)
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..config.axis import blind_ticks
 from ..control import envelope as env
 from ..control.reference import MODE_IDLE
 from ..drive.cia402 import (
@@ -68,7 +69,7 @@ class Trouble(NamedTuple):
 def silent_ticks(plan: Plan) -> int:
     """Time without an answer after which the drive counts as lost, also at rest, where the envelope does not check."""
     limits, rate_hz = plan.axis.envelope, plan.axis.loop.rate_hz
-    return max(limits.feedback_missing_ticks, limits.status_missing_ticks, round(SILENT_S * rate_hz))
+    return max(blind_ticks(plan.axis), limits.status_missing_ticks, round(SILENT_S * rate_hz))
 
 
 class Watcher:

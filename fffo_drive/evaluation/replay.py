@@ -5,8 +5,9 @@ a recording proves what was computed. A changed law is run open loop on the same
 commanded. Reproduced are every term of the law, the command after the envelope, its limits, the I2t heat, the latched
 fault and the controlword. Taken from the row are references, feedback and requests.
 
-The memory of law and envelope is known from the start of a loop on. If a recording begins later, or rows were lost, it
-is known again after the first row in which no torque was requested; rows until then are counted as not replayed.
+The memory of law and envelope is known from the start of a loop on, or from the record of it with which a file begins
+(runtime/records). If rows were lost within a file, it is known again after the first row in which no torque was
+requested; rows until then are counted as not replayed.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ from ..control.velocity_estimator import (
 )
 from ..drive.cia402 import GOAL_ENABLED, controlword_towards, is_operation_enabled
 from ..jit import njit
+from ..runtime.records import MemoryBefore
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
@@ -327,6 +329,31 @@ class Replay:
         self._memory = memory_at_start()
         self._effects_memory = new_memory()
         self._commands_a = np.zeros(COMMANDS_KEPT)
+
+    def continues_with(self, row: Any) -> bool:
+        """Whether the memory before this row is known."""
+        return self._memory.known and int(row["row_number"]) == (self._memory.row_number + 1) & 0xFFFFFFFF
+
+    def begin_from(self, before: MemoryBefore, parameters_at: int, effects_at: int) -> None:
+        """Take a recorded memory. The places are those of the parameters and effects that were in use with it."""
+        law = before.packed.memory.law
+        self._memory = Memory(
+            True,
+            law.controller,
+            before.packed.memory.envelope,
+            parameters_at,
+            effects_at,
+            before.trip,
+            before.controlword,
+            before.resetting,
+            before.row_number - 1,
+            before.tick,
+            law.estimator,
+            law.learned,
+            law.adapted.torque_nm,
+        )
+        self._effects_memory[:] = before.packed.effects
+        self._commands_a[:] = before.packed.commands_a
 
     def run(self, in_force: InForce, rows: Rows, parameters_at: Integers, effects_at: Integers) -> Replayed:
         """The next rows; places in `in_force` stay what they are from call to call."""

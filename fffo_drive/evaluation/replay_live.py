@@ -1,7 +1,8 @@
 """Replay of live set points: the reference recomputed from their records, compared with the rows bit for bit.
 
 The rows say which set point was taken in which tick, and which parameters (and with them how far the reference is read
-ahead) were in use. Memory is known from the first row of a motion on, as long as no row is missing.
+ahead) were in use. Memory is known from the first row of a motion on, or from the record of it with which a file
+begins, as long as no row is missing.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ..control.set_point import (
     with_set_point,
 )
 from ..jit import njit
+from ..runtime.records import MemoryBefore
 
 # recomputed fields of the row
 LIVE_FIELDS = (
@@ -96,6 +98,12 @@ class LiveReplay:
     def __init__(self) -> None:
         self._memory = LiveMemory(False, no_motion(0), -1)
         self._trajectory = np.zeros((2, HISTORY))
+
+    def begin_from(self, before: MemoryBefore) -> None:
+        """Take a recorded memory."""
+        motion = before.packed.memory.motion
+        self._memory = LiveMemory(motion.start_tick >= 0, motion, before.row_number - 1)
+        self._trajectory[:] = before.packed.trajectory
 
     def run(
         self, set_points: Floats, parameters: Floats, period_s: float, rows: Any, set_points_at: Integers,

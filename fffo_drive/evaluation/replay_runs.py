@@ -1,7 +1,8 @@
 """Replay of whole recordings: the files of a daemon's day, with every block that was in use, and the result.
 
 Files are passed in the order in which they were written. Files of one session (by the id in their records) form one
-run: after rotation, or recording switched off and on, only the missing rows are lost.
+run: after rotation, or recording switched off and on, only the missing rows are lost. A file that begins while the axis
+is enabled begins with the memory of the law, so each replays on its own, too.
 """
 
 from __future__ import annotations
@@ -28,7 +29,15 @@ from ..control.reference import MODE_VELOCITY
 from ..control.set_point import SET_POINT_SIZE
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..recording.run_records import RecordKind, RunRecord
-from ..runtime.records import block_of, effects_of, envelope_of, period_s_of, set_point_of
+from ..runtime.records import (
+    MemoryBefore,
+    block_of,
+    effects_of,
+    envelope_of,
+    memory_before,
+    period_s_of,
+    set_point_of,
+)
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
@@ -198,6 +207,7 @@ class _Session:
         self._live = LiveReplay()
         self._set_points: list[Floats] = []
         self._set_points_at: dict[int, int] = {}
+        self._memories: dict[int, MemoryBefore] = {}  # by the number of the row before which each was
         self._period_s = 0.0
 
     def learn(self, records: tuple[RunRecord, ...]) -> None:
@@ -216,16 +226,27 @@ class _Session:
             elif record.kind == RecordKind.SET_POINT and record.number not in self._set_points_at:
                 self._set_points_at[record.number] = len(self._set_points)
                 self._set_points.append(set_point_of(record))
+            elif record.kind == RecordKind.MEMORY:
+                self._memories[record.number] = memory_before(record)
             elif record.kind == RecordKind.PROFILE:
                 self._profiles[record.number] = record
 
     def replay(self, rows: Rows, instead: ReplayedLaw | None) -> Replayed:
-        """The next rows."""
+        """The next rows. Another law takes over from the recorded one with the first row, as by a live change."""
+        before = self._memory_before(rows)
         if instead is not None:
-            law = law_in_force([instead.parameters], [instead.effects], instead.envelope)
+            parameters, effects = [instead.parameters], [instead.effects]
+            if before is not None:
+                parameters.append(self._parameters[self._parameters_at[before.parameters_number]])
+                effects.append(self._effects[self._effects_at[before.effects_number]])
+                self._replay.begin_from(before, 1, 1)
             nowhere = np.zeros(rows.size, np.int64)
-            return self._replay.run(law, rows, nowhere, nowhere)
+            return self._replay.run(law_in_force(parameters, effects, instead.envelope), rows, nowhere, nowhere)
         assert self._envelope is not None
+        if before is not None:
+            places = self._parameters_at[before.parameters_number], self._effects_at[before.effects_number]
+            self._replay.begin_from(before, *places)
+            self._live.begin_from(before)
         law = law_in_force(self._parameters, self._effects, self._envelope)
         return self._replay.run(
             law,
@@ -233,6 +254,16 @@ class _Session:
             _places(rows["parameters_number"], self._parameters_at),
             _places(rows["effects_number"], self._effects_at),
         )
+
+    def _memory_before(self, rows: Rows) -> MemoryBefore | None:
+        """The recorded memory with which these rows begin; None where it is known already, or not recorded."""
+        if not rows.size or self._replay.continues_with(rows[0]):
+            return None
+        before = self._memories.get(int(rows["row_number"][0]))
+        known = before is not None and (
+            before.parameters_number in self._parameters_at and before.effects_number in self._effects_at
+        )
+        return before if known else None
 
     def follow_set_points(self, rows: Rows, sums: _Sums) -> None:
         """Recompute the references of live set points."""

@@ -9,20 +9,25 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..units import NS_PER_S
+from .disk import DiskLife, disk_life
 from .events import Event, Level
 from .ring_reader import ReadableRing, RingReader
 from .run_files import RunFiles
-from .run_records import RecordBook, RunRecord
+from .run_records import FileStart, MemorySource, RecordBook, RunRecord
 from .settings import RecorderHooks, RecorderSettings, RecorderStatistics, RunHeader
 
 SOURCE = "recorder"
 WRITE_ROWS = 4096  # between checks of the file size: a run in simulated time arrives in one piece
+MEASURED_S = 10.0  # of recording, before its rate is known
 EVENT_QUEUE = 4096  # events kept while no file is open; older ones are counted as lost
+MEMORY_TIMEOUT_S, MEMORY_POLL_S = 0.5, 0.001  # for the loop's answer, which comes with its next tick
 
 
 class Recorder:
@@ -31,6 +36,7 @@ class Recorder:
     It begins with the oldest row of the ring or, `from_now`, with the newest. The first file is opened here, so
     that a path that cannot be written raises OSError before anything moves. Then either `start` and `stop`
     the thread, or call `drain_once` and `close`, never both at a time. `records`: of the session that writes the ring.
+    `memory`: its loop; every file that begins in the midst of its rows then begins with what it remembers.
     """
 
     def __init__(
@@ -43,13 +49,18 @@ class Recorder:
         *,
         from_now: bool = False,
         records: RecordBook | None = None,
+        memory: MemorySource | None = None,
     ) -> None:
         self._records: deque[RunRecord] = deque()
         self._book = records
         # subscribed before the first row is read: records named by that row are in force, or follow
         in_force = records.listen(self._records.append) if records is not None else []
-        # the newest row shows the state before anything that is asked for from now on: a replay of that needs it
-        self._reader = RingReader(ring, newest=1 if from_now else None)
+        start = memory_now(memory) if from_now and memory is not None else None
+        if start is not None:
+            self._reader = RingReader(ring, first=start.row)
+        else:
+            # the newest row shows the state before anything that is asked for from now on: a replay of that needs it
+            self._reader = RingReader(ring, newest=1 if from_now else None)
         self._settings = settings or RecorderSettings()
         self._hooks = hooks or RecorderHooks()
         self._offset_ns = (header or RunHeader()).time_offset_ns
@@ -59,13 +70,14 @@ class Recorder:
         self._hook_error = ""
         self._overrunning = False
         self._closed = False
+        self._began_ns = self._hooks.clock_ns()
         self.turns = 0  # of the thread, ended: it goes on while no disk keeps it
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._summary: Mapping[str, str] = {}
         try:
             self._files = RunFiles(
-                Path(path), header or RunHeader(), self._settings, self._hooks, self._report, in_force
+                Path(path), header or RunHeader(), self._settings, self._hooks, self._report, in_force, start, memory
             )
         except BaseException:
             self._leave()
@@ -101,6 +113,15 @@ class Recorder:
             files=tuple(files.finished),
             bytes_written=files.bytes_written,
         )
+
+    @property
+    def disk_life(self) -> DiskLife | None:
+        """How long the disk lasts at the rate of this recording; None before that is known."""
+        since_s = (self._hooks.clock_ns() - self._began_ns) / NS_PER_S
+        use, written = self._files.disk, self._files.bytes_written
+        if use is None or not written or since_s < MEASURED_S:
+            return None
+        return disk_life(written / since_s, use, self._settings.rotation.quota_bytes)
 
     @property
     def current_path(self) -> Path | None:
@@ -145,8 +166,10 @@ class Recorder:
         if batch.lost and not self._overrunning:
             self._report(Level.ERROR, f"the ring ran over: {batch.lost} rows lost", {"rows_lost": batch.lost})
         self._overrunning = batch.lost > 0
+        first = self._reader.tail - len(batch.rows)
         for begin in range(0, max(len(batch.rows), 1), WRITE_ROWS):
-            self._files.write(batch.rows[begin : begin + WRITE_ROWS], self._events, self._records, now_ns)
+            part = batch.rows[begin : begin + WRITE_ROWS]
+            self._files.write(part, first + begin, self._events, self._records, now_ns)
             self._files.keep_house(now_ns)
         if self._hooks.on_rows is not None and len(batch.rows):
             self._call(self._hooks.on_rows, batch.rows)
@@ -212,6 +235,18 @@ class Recorder:
 
     def _wall_ns(self) -> int:
         return max(self._hooks.clock_ns() + self._offset_ns, 0)
+
+
+def memory_now(source: MemorySource) -> FileStart | None:
+    """The loop's memory behind its next tick; None where no loop runs."""
+    number = source.ask_for_memory()
+    deadline_s = time.monotonic() + MEMORY_TIMEOUT_S
+    while number is not None:
+        given = source.memory_given(number)
+        if given is not None or time.monotonic() > deadline_s:
+            return given
+        time.sleep(MEMORY_POLL_S)
+    return None
 
 
 def leave_realtime(cpus: frozenset[int] | None = None) -> None:

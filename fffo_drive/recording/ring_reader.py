@@ -45,8 +45,10 @@ def _head(words: Any) -> int:
 class RingReader:
     """Follows a ring with a tail of its own. Each row ever written is in one batch or counted as lost."""
 
-    def __init__(self, ring: ReadableRing, newest: int | None = None) -> None:
-        """Begin with the oldest row, or with so many of the newest (0: with the next that is written)."""
+    def __init__(self, ring: ReadableRing, newest: int | None = None, first: int | None = None) -> None:
+        """Begin with the oldest row, or with so many of the newest (0: with the next that is written), or with row
+        `first`, counted from the first ever written.
+        """
         capacity = len(ring.rows)
         if capacity < 2 or capacity & (capacity - 1):
             raise ValueError(f"a ring of {capacity} rows: a power of two, at least 2, is needed")
@@ -58,6 +60,8 @@ class RingReader:
         head = int(_head(self._words))  # compiled here, not beside the running loop
         # rows before this one are read, lost or older than this reader
         self.tail = 0 if newest is None else max(head - newest, 0)
+        if first is not None:
+            self.tail = first
         self.rows_read = 0
         self.rows_lost = 0
 

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..units import NS_PER_S
+from .disk import DiskUse, bytes_text
 from .events import Event, Level
-from .rotation import enforce_quota, is_taken, segment_path
-from .run_records import RunRecord, still_in_force
+from .rotation import OfOneWriter, disk_use, enforce_quota, is_taken, segment_path
+from .run_records import FileStart, MemorySource, RunRecord, still_in_force
 from .settings import RecorderHooks, RecorderSettings, Rows, RunHeader
 from .writer import RunWriter
 
+QUOTA_NAMES = 3  # of deleted files that an event says; its data has all
 Report = Callable[[Level, str, Mapping[str, Any]], None]
 
 
 class RunFiles:
     """Writes rows, events and records to NAME.mcap, NAME_002.mcap, ... Only the constructor raises OSError.
 
-    Every file begins with the records that were in force when it was opened.
+    Every file begins with the records that were in force when it was opened. One that begins in the midst of the rows
+    of a running loop begins with what it remembers before its first row: it is asked for, and the file waits for it.
 
     Rows and events that do not reach a file are counted; a failure is reported once, and once more when it is
     over.
@@ -29,7 +33,7 @@ class RunFiles:
 
     def __init__(
         self, path: Path, header: RunHeader, settings: RecorderSettings, hooks: RecorderHooks, report: Report,
-        in_force: Iterable[RunRecord] = (),
+        in_force: Iterable[RunRecord] = (), start: FileStart | None = None, memory: MemorySource | None = None,
     ) -> None:  # fmt: skip
         self._path = path
         self._header = header
@@ -37,6 +41,8 @@ class RunFiles:
         self._settings = settings
         self._hooks = hooks
         self._report = report
+        self._memory = memory
+        self._asked: int | None = None  # for the memory with which the next file is to begin
         self._writer: RunWriter | None = None
         self._segment = 0
         self._handed = self._events_handed = 0  # rows and events given to the open file
@@ -44,13 +50,15 @@ class RunFiles:
         self._opened_ns = self._flushed_ns = self._retry_ns = self._quota_ns = 0
         self._failing = False
         self._over_quota = False
+        self._of_this_writer = OfOneWriter(header.metadata)
+        self.disk: DiskUse | None = None  # as last seen
         self._dropped_before = 0  # rows dropped when the present failure began
         self.rows_dropped = 0
         self.events_lost = 0
         self.write_errors = 0
         self.last_error = ""
         self.finished: list[Path] = []
-        self._open(hooks.clock_ns())
+        self._open(hooks.clock_ns(), start)
 
     # ---- counts
 
@@ -81,15 +89,40 @@ class RunFiles:
 
     # ---- writing
 
-    def write(self, rows: Rows, events: deque[Event], records: deque[RunRecord], now_ns: int) -> None:
-        """Take rows, queued events and records; without an open file, rows are dropped and events stay queued."""
-        if self._writer is None and now_ns >= self._retry_ns:
-            self._reopen(now_ns)
+    def write(self, rows: Rows, first: int, events: deque[Event], records: deque[RunRecord], now_ns: int) -> None:
+        """Take rows, queued events and records; without an open file, rows are dropped and events stay queued.
+
+        `first`: the place of the first row among all that the ring ever got.
+        """
+        if self._writer is None and self._asked is None and now_ns >= self._retry_ns:
+            self._begin_next(now_ns)
         news = [records.popleft() for _ in range(len(records))]
         self._in_force += news
+        start = self._start_in(first)
+        before = len(rows) if start is None else start.row - first
+        if before > len(rows):  # it comes with the next rows
+            start, before = None, len(rows)
+        self._take(rows[:before], events, news, now_ns)
+        if start is not None:
+            self._asked = None
+            self._open_next(now_ns, start)
+            self._take(rows[before:], events, (), now_ns)
+
+    def _take(self, rows: Rows, events: deque[Event], news: Iterable[RunRecord], now_ns: int) -> None:
         self._write(rows, events, news, now_ns)
         if len(rows) and len(self._in_force) > 1:
             self._in_force = still_in_force(self._in_force, rows[-1])
+
+    def _start_in(self, first: int) -> FileStart | None:
+        """Where the next file begins, once the loop has said it; rows before `first` have gone by."""
+        if self._asked is None or self._memory is None:
+            return None
+        start = self._memory.memory_given(self._asked)
+        if start is not None and start.row >= first:
+            return start
+        if start is not None:  # the ring ran over
+            self._asked = self._memory.ask_for_memory()
+        return None
 
     def _write(self, rows: Rows, events: deque[Event], records: Iterable[RunRecord], now_ns: int) -> None:
         writer = self._writer
@@ -114,12 +147,8 @@ class RunFiles:
         if writer is not None and now_ns - self._flushed_ns >= self._settings.flush_interval_s * NS_PER_S:
             self._flush(writer, now_ns)
         writer = self._writer
-        if (
-            writer is not None
-            and self._rotation_is_due(writer, now_ns)
-            and self._finish(writer, {"ended_by": "rotation"}, now_ns)
-        ):
-            self._reopen(now_ns)
+        if writer is not None and self._asked is None and self._rotation_is_due(writer, now_ns):
+            self._begin_next(now_ns)
         if now_ns - self._quota_ns >= self._settings.quota_interval_s * NS_PER_S:
             self._check_quota(now_ns)
 
@@ -145,7 +174,22 @@ class RunFiles:
 
     # ---- opening
 
-    def _open(self, now_ns: int) -> None:
+    def _begin_next(self, now_ns: int) -> None:
+        """The next file, with the loop's memory when it has given it, or at once where no loop runs."""
+        self._asked = None if self._memory is None else self._memory.ask_for_memory()
+        if self._asked is None:
+            self._open_next(now_ns, None)
+
+    def _open_next(self, now_ns: int, start: FileStart | None) -> None:
+        """Finish the open file, if there is one, and open the next; a failure is reported and tried again."""
+        if self._writer is not None and not self._finish(self._writer, {"ended_by": "rotation"}, now_ns):
+            return
+        try:
+            self._open(now_ns, start)
+        except Exception as error:
+            self.note_failure(error, now_ns)
+
+    def _open(self, now_ns: int, start: FileStart | None) -> None:
         """Open the next file of the run; raises OSError."""
         first = self._segment == 0
         number = self._segment + 1
@@ -170,6 +214,9 @@ class RunFiles:
         try:
             for record in self._in_force:
                 writer.write_record(record, self._wall_ns(now_ns))
+            if start is not None:
+                wall_ns = self._wall_ns(now_ns)
+                writer.write_record(start.memory._replace(time_ns=wall_ns), wall_ns)
         except BaseException:
             writer.abandon()
             raise
@@ -180,12 +227,6 @@ class RunFiles:
 
     def _wall_ns(self, now_ns: int) -> int:
         return max(now_ns + self._header.time_offset_ns, 0)
-
-    def _reopen(self, now_ns: int) -> None:
-        try:
-            self._open(now_ns)
-        except Exception as error:
-            self.note_failure(error, now_ns)
 
     # ---- closing
 
@@ -233,6 +274,7 @@ class RunFiles:
         """Count an error; report it unless the last one is not over yet."""
         self.write_errors += 1
         self.last_error = f"{type(error).__name__}: {error}"
+        self._asked = None  # again when the next file is tried
         self._retry_ns = now_ns + int(self._settings.retry_interval_s * NS_PER_S)
         if not self._failing:
             self._failing = True
@@ -252,17 +294,24 @@ class RunFiles:
     def _check_quota(self, now_ns: int) -> None:
         self._quota_ns = now_ns
         quota = self._settings.rotation.quota_bytes
-        if quota is None:
-            return
+        directory, kept = self._path.parent, [self._writer.path] if self._writer else []
         try:
-            report = enforce_quota(self._path.parent, quota, [self._writer.path] if self._writer else [])
+            report = enforce_quota(directory, math.inf if quota is None else quota, self._of_this_writer, kept)
+            self.disk = disk_use(directory, report.total_bytes)
         except OSError:
             return  # a directory that is gone shows when the file is flushed
+        if quota is None:
+            return
+        data = {"quota_bytes": quota, "total_bytes": report.total_bytes}
         if report.deleted:
             names = [path.name for path in report.deleted]
-            text = f"{len(names)} old recordings deleted to stay below {quota} bytes"
-            self._report(Level.INFO, text, {"files": names})
+            some = ", ".join(names[:QUOTA_NAMES]) + (" ..." if len(names) > QUOTA_NAMES else "")
+            text = f"deleted to stay below recording.quota_bytes, {bytes_text(quota)}: {some}"
+            self._report(Level.INFO, text, {**data, "files": names})
         if not report.within and not self._over_quota:
-            text = f"recordings take {report.total_bytes} bytes, {quota} are allowed, and none may be deleted"
-            self._report(Level.WARNING, text, {"total_bytes": report.total_bytes})
+            text = (
+                f"recordings take {report.total_bytes} bytes, recording.quota_bytes allows {quota}, and none may be "
+                "deleted"
+            )
+            self._report(Level.WARNING, text, data)
         self._over_quota = not report.within

@@ -2,7 +2,8 @@
 
 A row names the parameters, the effects and the profile that were in use by their numbers, and the last request that
 the loop had seen when its tick began (`request_number`): rows and records are matched by numbers, never by clocks. The
-records in force are written at the beginning of every file, so that each file is self-contained.
+records in force are written at the beginning of every file, with the loop's memory before its first row, so that each
+file is self-contained.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from ..documents import json_object
 from .cdr import Field, decode, encode, schema_of
@@ -21,9 +22,20 @@ RECORD_TOPIC = "/fffo_drive/records"
 RECORD_TYPE = "fffo_drive_msgs/msg/Record"
 RECORD_FIELDS = (
     Field("uint64", "time_ns", "ns", "wall clock when it was made, Unix epoch"),
-    Field("uint32", "sequence", "-", "place among all records of the session; a row's request_number is one"),
-    Field("uint32", "number", "-", "as rows name it: of parameters, effects, profile, set point; also model and reset"),
-    Field("string", "kind", "-", "session, model, parameters, effects, profile, set_point, request, or a loop's word"),
+    Field("uint32", "sequence", "-", "place among the session's records; a row's request_number is one; memory: 0"),
+    Field(
+        "uint32",
+        "number",
+        "-",
+        "as rows name it: of parameters, effects, profile, set point; memory: row_number of the row behind it; also "
+        "model and reset",
+    ),
+    Field(
+        "string",
+        "kind",
+        "-",
+        "session, model, parameters, effects, profile, set_point, memory, request, or a loop's word",
+    ),
     Field("string[]", "names", "-", "of the values; units as suffixes"),
     Field("float64[]", "values", "-", "bit for bit as the loop has them"),
     Field("string", "data", "-", "JSON object for programs: names, texts, hashes, who asked for what"),
@@ -40,6 +52,7 @@ class RecordKind(StrEnum):
     EFFECTS = "effects"  # a whole table of compensated effects
     PROFILE = "profile"  # a profile handed to the loop; its samples are in the rows
     SET_POINT = "set_point"  # a live set point handed to the loop: control.set_point.SetPoint
+    MEMORY = "memory"  # what the loop remembered before the first row of a file that begins in its midst
     REQUEST = "request"  # who asked for what
     GOAL = "goal"  # from here on words of the loop: drive.cia402.GOAL_*
     TOGGLE = "toggle"  # control.friction_observer.TOGGLE_*
@@ -115,6 +128,25 @@ def still_in_force(records: Iterable[RunRecord], row: Any) -> list[RunRecord]:
     kept += [record for record in given if record.kind == RecordKind.MODEL and record.data["content_hash"] in models]
     by_sequence = {record.sequence: record for record in kept}
     return [by_sequence[number] for number in sorted(by_sequence)]
+
+
+class FileStart(NamedTuple):
+    """Where a file may begin in the midst of a motion."""
+
+    row: int  # the first one, counted from the first that the ring ever got
+    memory: RunRecord  # what the loop remembered before it
+
+
+class MemorySource(Protocol):
+    """A loop that hands out its memory behind a tick. Nothing waits for it."""
+
+    def ask_for_memory(self) -> int | None:
+        """Ask. Returns the number of the request; None where no loop is left to answer."""
+        ...
+
+    def memory_given(self, number: int) -> FileStart | None:
+        """The answer to this request or a later one; None until there is one."""
+        ...
 
 
 Listener = Callable[[RunRecord], None]

@@ -51,8 +51,9 @@ class RunHeader:
 class RotationPolicy:
     """When to begin a new file, and how much a directory may hold. None: no limit.
 
-    A file may exceed `max_bytes` by `recorder.WRITE_ROWS` rows and its index. `quota_bytes` counts all recordings
-    of this program in the directory, the one being written included; the oldest finished ones are deleted.
+    A file may exceed `max_bytes` by `recorder.WRITE_ROWS` rows and its index. `quota_bytes` counts the recordings of
+    this writer in the directory (rotation.OfOneWriter), the one being written included; the oldest finished ones are
+    deleted.
     """
 
     max_bytes: int | None = None
@@ -73,7 +74,7 @@ class RecorderSettings:
     drain_interval_s: float = 0.05
     flush_interval_s: float = 1.0
     retry_interval_s: float = 5.0  # between attempts to open a file after an error
-    quota_interval_s: float = 30.0  # between looks at the directory's size
+    quota_interval_s: float = 30.0  # between looks at the directory's size and the disk's free space
     fsync_interval_s: float | None = None  # bounds what a power loss costs; None leaves it to the kernel
     chunk_size: int = CHUNK_SIZE
     compression: Compression = "zstd"

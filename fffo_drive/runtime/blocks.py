@@ -18,6 +18,7 @@ from ..control.set_point import HISTORY, SET_POINT_SIZE, SetPoint
 from ..control.velocity_estimator import COMMANDS
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
+from .memory import COMMANDS_A, EFFECTS_MEMORY, PACKED_SIZE, TRAJECTORY, LoopMemory, write_loop_memory
 
 Words = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -36,7 +37,8 @@ EFFECTS_NUMBER = 10  # a new number publishes the effects in slot number & 1
 REQUEST_NUMBER = 11  # raised after each request, with the sequence of its record: rows name the last one seen
 SET_POINT_NUMBER = 12  # a new number publishes the live set point in slot number & 1
 SET_POINT_ABORT = 13  # the number of a set point whose motion has to end at once
-CONTROL_WORDS = 14
+MEMORY_NUMBER = 14  # a new number asks for a copy of the loop's memory
+CONTROL_WORDS = 15
 
 # status words: written by the loop
 TICK = 0
@@ -60,7 +62,9 @@ SET_POINT_DONE = 17  # number of the set point whose motion ended last, at stand
 SET_POINT_LAPSED = 18  # number of the last set point whose duration ended without a renewal
 SET_POINT_BLOCKED = 19  # number of the last set point that would leave its window, and was braked
 ADAPTED_TO_BOUND = 20  # bits of adapted parameters at their bounds: control.adaptation.*_AT_BOUND
-STATUS_WORDS = 21
+MEMORY_GIVEN = 21  # the last MEMORY_NUMBER that was answered
+MEMORY_ROW = 22  # rows ever written when it was: the copy is the memory before this row
+STATUS_WORDS = 23
 
 PROFILE_ROWS = 2  # value and derivative
 NO_PAST: Floats = np.zeros(0)  # the past of a profile that begins at standstill
@@ -81,6 +85,7 @@ class Blocks(NamedTuple):
     set_point_loop: Floats  # the same size, private to the loop: copy in progress, and set point in use
     trajectory: Floats  # (2, set_point.HISTORY), private to the loop: the generated reference
     commands: Floats  # (velocity_estimator.COMMANDS,), private to the loop: the last commands in A
+    memory: Floats  # (memory.PACKED_SIZE,), written by the loop when it is asked for
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -98,6 +103,7 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros((2, SET_POINT_SIZE)),
         np.zeros((2, HISTORY)),
         np.zeros(COMMANDS),
+        np.zeros(PACKED_SIZE),
     )
     blocks.control[EFFECTS] = ALL_EFFECTS
     blocks.parameters[:] = pack_controller(controller)
@@ -118,6 +124,13 @@ def publish_effects(blocks: Blocks, table: Floats) -> int:
     number = int(blocks.control[EFFECTS_NUMBER]) + 1
     blocks.effects[number & 1] = table
     store_release(blocks.control, EFFECTS_NUMBER, number)
+    return number
+
+
+def ask_for_memory(blocks: Blocks) -> int:
+    """Ask the loop for its memory behind the next tick. Returns the number of the request."""
+    number = int(blocks.control[MEMORY_NUMBER]) + 1
+    store_release(blocks.control, MEMORY_NUMBER, number)
     return number
 
 
@@ -199,3 +212,23 @@ def _take(blocks: Blocks, word: int, slots: Floats, number_in_use: int, scratch:
 def _copy(source: Floats, target: Floats) -> None:
     for i in range(target.size):
         target[i] = source[i]
+
+
+@njit(inline="always")
+def memory_is_asked_for(blocks: Blocks) -> bool:
+    """Whether a copy of the memory was asked for that was not given yet."""
+    return bool(load_acquire(blocks.control, MEMORY_NUMBER) != blocks.status[MEMORY_GIVEN])
+
+
+@njit
+def give_memory(blocks: Blocks, head: int, memory: LoopMemory) -> None:
+    """Copy the memory behind row `head` - 1. Who asked reads it once it is given, and asks no more until then."""
+    number = load_acquire(blocks.control, MEMORY_NUMBER)
+    packed = blocks.memory
+    write_loop_memory(memory, packed)
+    _copy(blocks.effects_memory, packed[EFFECTS_MEMORY:COMMANDS_A])
+    _copy(blocks.commands, packed[COMMANDS_A:TRAJECTORY])
+    _copy(blocks.trajectory[0], packed[TRAJECTORY : TRAJECTORY + HISTORY])
+    _copy(blocks.trajectory[1], packed[TRAJECTORY + HISTORY : PACKED_SIZE])
+    blocks.status[MEMORY_ROW] = head
+    store_release(blocks.status, MEMORY_GIVEN, number)

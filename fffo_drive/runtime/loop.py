@@ -22,7 +22,8 @@ from ..drive.port import port_command, port_housekeeping
 from ..jit import njit
 from ..jit.atomic import load_acquire, store_release
 from . import blocks as b
-from .blocks import Blocks
+from .blocks import Blocks, give_memory, memory_is_asked_for
+from .memory import LoopMemory
 from .requests import (
     begin_stopping,
     law_at_start,
@@ -133,6 +134,8 @@ def run_loop(
         head += 1
         publish_tick(ring, head, status, timing, row)
         port_housekeeping(port, timing.tick)
+        if memory_is_asked_for(blocks):
+            give_memory(blocks, head, LoopMemory(memory, guard.envelope, live))
 
         guard = count_reset(guard)
         ticks_run += 1

@@ -17,6 +17,15 @@ from ..control.set_point import SET_POINT_NAMES, SetPoint
 from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
+from .memory import (
+    COMMANDS_A,
+    EFFECTS_MEMORY,
+    LOOP_MEMORY_NAMES,
+    PACKED_SIZE,
+    TRAJECTORY,
+    PackedMemory,
+    unpack_memory,
+)
 from .tick import LoopConfig
 
 WORD_KINDS = {  # control words whose changes are records of their own
@@ -39,6 +48,30 @@ class ModelNote(NamedTuple):
     name: str
     content_hash: str
     text: str  # of the whole file
+
+
+MEMORY_NAMES = (
+    *LOOP_MEMORY_NAMES,
+    *(f"effects_memory.{k}" for k in range(COMMANDS_A - EFFECTS_MEMORY)),
+    *(f"command_a.{k}" for k in range(TRAJECTORY - COMMANDS_A)),
+    *(f"trajectory.{k}" for k in range(PACKED_SIZE - TRAJECTORY)),
+)
+MEMORY_PLACES = {name: place for place, name in enumerate(MEMORY_NAMES)}
+# of the row behind which the memory was
+OF_THE_ROW = ("tick", "parameters_number", "effects_number", "trip", "controlword", "resetting")
+
+
+class MemoryBefore(NamedTuple):
+    """What the loop remembered before a row, and what stood in the row before that."""
+
+    row_number: int  # of the row before which it was
+    packed: PackedMemory
+    tick: int  # from here on of the row before
+    parameters_number: int
+    effects_number: int
+    trip: int
+    controlword: int
+    resetting: int
 
 
 class Unnumbered(NamedTuple):
@@ -95,6 +128,26 @@ def of_profile(number: int, profile: Profile) -> Unnumbered:
 def of_set_point(number: int, set_point: SetPoint) -> Unnumbered:
     """A live set point, from which a replay recomputes the reference."""
     return Unnumbered(number, RecordKind.SET_POINT, SET_POINT_NAMES, _floats(set_point), {})
+
+
+def of_memory(packed: Floats, row: Any) -> RunRecord:
+    """The loop's memory (memory.PACKED_SIZE,) behind this row, as the first record of the file that begins with the
+    next one. Only the arrays that are in use are written.
+    """
+    memory = unpack_memory(packed).memory
+    kept = list(range(EFFECTS_MEMORY))
+    if packed[EFFECTS_MEMORY:COMMANDS_A].any():
+        kept += range(EFFECTS_MEMORY, COMMANDS_A)
+    if memory.law.estimator.tick >= 0:
+        kept += range(COMMANDS_A, TRAJECTORY)
+    if memory.motion.start_tick >= 0:
+        kept += range(TRAJECTORY, PACKED_SIZE)
+    data = {name: int(row[name]) for name in OF_THE_ROW}
+    # a clock in ns is beyond 2^53 after 104 days: whole numbers are exact here, the packed ones are float64
+    data["woke_ns"] = int(row["deadline_ns"]) + int(row["lateness_ns"])
+    number = (int(row["row_number"]) + 1) & 0xFFFFFFFF
+    names = tuple(MEMORY_NAMES[k] for k in kept)
+    return RunRecord(0, 0, number, RecordKind.MEMORY, names, _floats(packed[kept]), data)
 
 
 def values_digest(values: Floats) -> str:
@@ -163,6 +216,20 @@ def effects_of(record: RunRecord) -> Floats:
         return table_of(record.values, record.data["effects"])
     except KeyError as error:
         raise ValueError(f"effects {record.number}: no effect is called {error} here") from None
+
+
+def memory_before(record: RunRecord) -> MemoryBefore:
+    """The memory of a `memory` record. Raises ValueError for one of other names."""
+    packed = np.zeros(PACKED_SIZE)
+    if record.names[:EFFECTS_MEMORY] != LOOP_MEMORY_NAMES or not MEMORY_PLACES.keys() >= set(record.names):
+        raise ValueError(f"the memory before row {record.number} has other names than this version's")
+    packed[[MEMORY_PLACES[name] for name in record.names]] = record.values
+    unpacked = unpack_memory(packed)
+    law = unpacked.memory.law
+    if law.estimator.tick >= 0:
+        law = law._replace(estimator=law.estimator._replace(woke_ns=int(record.data["woke_ns"])))
+    unpacked = unpacked._replace(memory=unpacked.memory._replace(law=law))
+    return MemoryBefore(record.number, unpacked, **{name: int(record.data[name]) for name in OF_THE_ROW})
 
 
 def _as_declared(kind: str, value: float) -> float | int | bool:

@@ -21,7 +21,8 @@ from ..jit import njit
 from ..jit.atomic import load_acquire
 from . import blocks as b
 from .blocks import Blocks, take_effects, take_parameters
-from .tick import Guard, LawMemory, LoopConfig, baseline_of
+from .memory import LawMemory
+from .tick import Guard, LoopConfig, baseline_of
 
 FAULT_RESET_TICKS = 40  # how long a reset is asked for: the drive must see bit 7 rise (CiA 402 transition 15)
 

@@ -9,9 +9,10 @@ from ..jit import njit
 from ..jit.atomic import store_release
 from . import blocks as b
 from .blocks import Words
+from .memory import LawMemory
 from .requests import LawInUse, Requests
 from .ring import HEAD, Ring
-from .tick import Guard, LawMemory, LawOutput, LoopConfig, Sent, Timing
+from .tick import Guard, LawOutput, LoopConfig, Sent, Timing
 
 
 class Target(NamedTuple):

@@ -139,7 +139,9 @@ def record_live(
     from ..recording.writer import wall_clock_offset_ns
 
     header = _with_offset(header, wall_clock_offset_ns())
-    recorder = Recorder(session.ring, path, header, settings, hooks, from_now=True, records=session.records)
+    recorder = Recorder(
+        session.ring, path, header, settings, hooks, from_now=True, records=session.records, memory=session
+    )
     counted = exchange_counts(session.drive.feedback)
     recorder.start()
     warnings: list[str] = []

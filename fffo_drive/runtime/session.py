@@ -23,11 +23,12 @@ from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import Drive, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
-from ..recording.run_records import RecordBook, RunRecord
+from ..recording.run_records import FileStart, RecordBook, RunRecord
 from . import blocks as b
 from . import records
 from .blocks import (
     Blocks,
+    ask_for_memory,
     new_blocks,
     publish_controller,
     publish_effects,
@@ -186,6 +187,21 @@ class Session:
         """Request a velocity now; a motion begins with it once the drive is enabled. Return its number."""
         with self._asking, self._recorded(records.of_set_point(self._next(b.SET_POINT_NUMBER), set_point)):
             return publish_set_point(self.blocks, set_point)
+
+    def ask_for_memory(self) -> int | None:
+        """Ask for the loop's memory behind the next tick; None when the loop has ended."""
+        with self._asking:
+            return None if self.status(b.FINISHED) else ask_for_memory(self.blocks)
+
+    def memory_given(self, number: int) -> FileStart | None:
+        """The memory asked for by `number`, or by somebody else since; None until the loop has given it."""
+        with self._asking:  # nobody asks meanwhile, so the loop leaves the copy alone
+            given = self.status(b.MEMORY_GIVEN)
+            if given < number or given != self.blocks.control[b.MEMORY_NUMBER]:
+                return None
+            row = int(self.blocks.status[b.MEMORY_ROW])
+            record = records.of_memory(self.blocks.memory, copy_row(self.ring, row - 1))
+        return FileStart(row, record)
 
     def _next(self, word: int) -> int:
         return int(self.blocks.control[word]) + 1

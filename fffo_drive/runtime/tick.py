@@ -63,6 +63,7 @@ from ..jit.atomic import load_acquire, store_release
 from ..units import NS_PER_S
 from . import blocks as b
 from .blocks import Blocks, Words, take_set_point
+from .memory import LawMemory
 
 # bits of the row's flags: further inputs of the envelope, and the start of memory
 FLAG_LOOP_BEGAN = 1  # the first tick of a loop: all memory at rest
@@ -113,15 +114,6 @@ class ProfileCursor(NamedTuple):
     start_tick: int  # -1: none is running
     length: int
     mode: int  # reference.MODE_*; MODE_IDLE holds zero velocity
-
-
-class LawMemory(NamedTuple):
-    """What the law remembers between two ticks."""
-
-    controller: ControllerState
-    estimator: VelocityEstimatorState
-    learned: AdaptationState
-    adapted: Adapted  # what was given in the last tick
 
 
 class LawOutput(NamedTuple):

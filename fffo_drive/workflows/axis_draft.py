@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .. import formats
-from ..config.axis import AxisFile
+from ..config.axis import AxisFile, default_blind_ticks
 from ..config.drive_profile import with_profile
+from ..config.runaway import most_current_a, most_ticks
 from ..documents import check, parse
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..model.parameters import ModelFile
-from ..units import PERMILLE, TWO_PI, rps_from_rpm
+from ..units import PERMILLE, TWO_PI, inertia_nm_s2_per_rev, rps_from_rpm
 from .drive_facts import ASSUMED, Fact, SourcedFacts
 
 # assumptions about an axis before any measurement
@@ -30,6 +31,7 @@ DRIVE_DELAY_S, SENSOR_DELAY_S = 1.5e-3, 0.5e-3
 CROSSOVER_HZ, RESET_TIME_S = 5.0, 0.2  # of the first law
 HIGHEST_SPEED_RPS = 25.0
 SPEED_SHARE, FOLLOWING_SHARE, PROFILE_SHARE = 0.8, 0.3, 0.2  # of the drive's limit; of ours
+ROUNDED_SHARE = 0.99  # of a computed limit: the files have four digits
 PEAK_FACTOR = 1.5  # of the rated current, where the drive allows it
 HIGHEST_MASTER_ID = 127
 
@@ -112,6 +114,12 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
         speed_rps, speed_source = SPEED_SHARE * rps_from_rpm(rpm), f"read: 0.8 of 0x6080, {rpm} rpm"
     law = first_law(inertia_kg_m2(facts).value, constant)
     limit_a = max(peak * rated_a, rated_a)
+    rate_hz = float(place.rate_hz.value)
+    rps2_per_a = constant / inertia_nm_s2_per_rev(inertia_kg_m2(facts).value)
+    most_a = ROUNDED_SHARE * most_current_a(speed_rps, rps2_per_a, rate_hz)
+    if most_a < limit_a and not place.patience_ticks:
+        limit_a, peak_source = most_a, "computed: with more the axis could run away in one tick without feedback"
+    continuous_a = min(rated_a, limit_a)
     lines = _lines(
         "",
         [
@@ -138,7 +146,7 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
                     "integral_a_per_rev",
                     Fact(_rounded(law["integral_a_per_rev"]), f"assumed: Ti {RESET_TIME_S:g} s"),
                 ),
-                ("current_limit_a", Fact(_rounded(rated_a), "the rated current")),
+                ("current_limit_a", Fact(_rounded(continuous_a), "the rated current, or the envelope's limit")),
                 ("observer", Fact("{toggle: off}", "until the friction is identified")),
                 ("feedforward", Fact("{inertia: false}", "until the inertia is; `tune` switches on the whole law")),
             ],
@@ -146,16 +154,20 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     ]
     envelope = [
         ("current_limit_a", Fact(_rounded(limit_a), peak_source)),
-        ("continuous_current_a", Fact(_rounded(rated_a), "the rated current")),
+        ("continuous_current_a", Fact(_rounded(continuous_a), "the rated current, or the limit")),
         ("speed_limit_rps", Fact(_rounded(speed_rps), speed_source)),
         ("following_error_rps", Fact(_rounded(FOLLOWING_SHARE * speed_rps), "assumed: 0.3 of the speed limit")),
         ("position_window_rev", Fact("null", "TO FILL IN where the axis has ends: [low, high]")),
     ]
     if place.patience_ticks:
-        source = "loopback bus: delete these three keys on a real bus"
+        source = "loopback bus: delete these four keys on a real bus"
         envelope.append(("feedback_missing_ticks", Fact(place.patience_ticks, source)))
+        envelope.append(("accept_runaway", Fact("true", "as above: a simulated drive")))
         envelope.append(("status_missing_ticks", Fact(max(100, 2 * place.patience_ticks), "as above")))
         envelope.append(("heartbeat_timeout_s", Fact(2, "as above")))
+    elif (most := most_ticks(ROUNDED_SHARE * speed_rps, rps2_per_a * limit_a, rate_hz)) < default_blind_ticks(rate_hz):
+        source = "computed: with more the axis could run away"
+        envelope.append(("feedback_missing_ticks", Fact(max(1, most), source)))
     lines += ["envelope:", *_lines("  ", envelope)]
     lines += ["loop:", *_lines("  ", [("rate_hz", place.rate_hz)])]
     if place.realtime_refused:

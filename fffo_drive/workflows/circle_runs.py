@@ -125,8 +125,9 @@ class Circle:
         """The rate of the runs from now on."""
         change(self.path, ("loop", "rate_hz"), rate_hz)
         if self.forgiving:
+            now = {name: getattr(self.axis.envelope, name) or 0 for name in PATIENT_S}
             for name, seconds in PATIENT_S.items():
-                change(self.path, ("envelope", name), max(int(seconds * rate_hz), getattr(self.axis.envelope, name)))
+                change(self.path, ("envelope", name), max(int(seconds * rate_hz), now[name]))
 
     def _proven(self, rate_hz: int) -> bool:
         axis = changed(self.axis, loop={"rate_hz": rate_hz})
@@ -277,6 +278,7 @@ def write_axis(axis_path: Path, out: Path, sim: Path | None, rate_hz: int | None
     elif sim is not None:
         _raise(data["drive"], PATIENT_DRIVE, axis.drive)
         _raise(data["envelope"], PATIENT_LIMITS, axis.envelope)
+        data["envelope"]["accept_runaway"] = True  # it is a simulated drive, and PATIENT_S is beyond any machine
         data.setdefault("realtime", {})["required"] = False
     path = write_yaml(out / "axis.yaml", data)
     read_axis(path)

@@ -16,6 +16,7 @@ from ..config.axis_text import replace_file, with_line
 from ..config.checks import bus_problems, require
 from ..config.commissioning import declared_facts, permission
 from ..config.drive_section import CanopenDriveSection
+from ..config.runaway import runaway_problems
 from ..documents import DocumentError
 from ..model.parameters import content_hash
 from .plan import Plan, open_drive, plan_session
@@ -25,7 +26,7 @@ def commissioning_plan(path: Path) -> Plan:
     """The parts of the axis file that commissioning needs: law and profile may still be unfinished."""
     axis = read_axis(path)
     model = model_of(path, axis)
-    require(path, bus_problems(axis, model))
+    require(path, bus_problems(axis, model) + runaway_problems(axis, model))
     return Plan(path, axis, model, build_profile(axis.profile, axis.loop.period_s))
 
 

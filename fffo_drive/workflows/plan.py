@@ -20,6 +20,7 @@ from ..config.commissioning import Permission, require_identity
 from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, effect_problems
+from ..config.runaway import runaway_problems
 from ..config.sections import ProfileSection, length_problems
 from ..config.session import session_config
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
@@ -96,7 +97,7 @@ def checked_plan(
     if profile_file is not None:
         require(of_profile, problems)
         problems = []
-    problems += bus_problems(axis, model)
+    problems += bus_problems(axis, model) + runaway_problems(axis, model)
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)
     proof = proof_problems(axis, model, toggles, profile)
     problems += proof + [text for text in velocity_problems(axis, model) if text not in proof]

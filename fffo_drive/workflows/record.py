@@ -8,6 +8,7 @@ from typing import Any
 
 from ..config.axis import recorder_settings
 from ..config.commissioning import Permission
+from ..config.runaway import accepted_words
 from ..drive.port import Drive
 from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows
@@ -25,6 +26,8 @@ def record_run(
 
     `bar` appears when a run in real time begins.
     """
+    for text in accepted_words(plan.axis, plan.model):
+        print(f"warning: {text}", file=sys.stderr)
     identity = connect(drive, given)
     header = run_header(plan, identity, toggle, given)
     settings, hooks = recorder_settings(plan.axis), recorder_hooks()

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..config.axis import AxisFile
+from ..recording.disk import DiskLife, disk_life, row_bytes
 from ..recording.events import Event, Level
 from ..recording.reader import read_run
-from ..recording.rotation import is_taken
+from ..recording.rotation import SERVICE, OfOneWriter, disk_use, is_taken
 from ..recording.settings import RecorderHooks, Rows
 from ..signals import ROW
 
@@ -36,6 +38,15 @@ def recorder_hooks() -> RecorderHooks:
 def _tell(event: Event) -> None:
     if event.level >= Level.WARNING:
         print(f"recorder: {event.text}", file=sys.stderr, flush=True)
+
+
+def expected_disk_life(axis: AxisFile, directory: Path) -> DiskLife:
+    """How long the disk of a directory lasts if the service records there all day. Raises OSError."""
+    section = axis.recording
+    written = OfOneWriter({"axis": axis.name, "source": SERVICE}).in_directory(directory)
+    use = disk_use(directory, sum(one.size_bytes for one in written))
+    bytes_per_s = row_bytes(section.compression) * axis.loop.rate_hz
+    return disk_life(bytes_per_s, use, section.quota_bytes)
 
 
 def recorded_rows(files: Iterable[Path]) -> Rows:

@@ -38,7 +38,8 @@ def patient_axis(directory: Path) -> Path:
     shutil.copytree(FILES, directory, dirs_exist_ok=True)
     text = (FILES / "bus.yaml").read_text()
     text = text.replace("  node_id: 1\n", "  node_id: 1\n  heartbeat_timeout_ms: 3000\n  command_timeout_ms: 3000\n")
-    limits = "  feedback_missing_ticks: 5000\n  status_missing_ticks: 5000\n  heartbeat_timeout_s: 20\n"
+    limits = "  feedback_missing_ticks: 5000\n  accept_runaway: true\n  status_missing_ticks: 5000\n"
+    limits += "  heartbeat_timeout_s: 20\n"
     text = text.replace("  following_error_s: 0.2\n", f"  following_error_s: 20\n{limits}")
     text = text.replace("{kind: paper, duration_s: 60}", "{kind: sine, duration_s: 600, amplitude: 3, frequency_hz: 1}")
     path = directory / "patient.yaml"

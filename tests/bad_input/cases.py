@@ -332,6 +332,19 @@ CASES = (
         "quota smaller than two files", RUN, 78, (rf"{AXIS}:\d+: recording: quota_bytes must hold two files",),
         added(AXIS, "recording: {rotate_bytes: 1000000, quota_bytes: 1500000}\n"),
     ),
+    Case(
+        "quota of a file that is never finished", RUN, 78,
+        (rf"{AXIS}:\d+: recording: quota_bytes deletes finished files only.*quota_bytes: null",),
+        added(AXIS, "recording: {rotate_bytes: null, rotate_s: null}\n"),
+    ),
+    Case(
+        "blind for so long that it can run away", RUN, 78,
+        (
+            rf"{AXIS}:\d+: envelope\.feedback_missing_ticks: blind for at most 10 ticks = 5 ms: 11 rps and 0\.028 rev "
+            r"at current_limit_a, more than 20% of speed_limit_rps 25: at most 4 ticks, or .*\.accept_runaway: true",
+        ),
+        changed(AXIS, "  following_error_s: 0.2\n", "  following_error_s: 0.2\n  feedback_missing_ticks: 10\n"),
+    ),
     # what the file asks for
     Case(
         "velocity reference beyond the limit", RUN, 78,

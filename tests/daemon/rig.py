@@ -45,7 +45,8 @@ PATIENT: dict[str, Any] = {
 }
 PATIENT_DRIVE = {"heartbeat_timeout_ms": 5000, "command_timeout_ms": 5000, "listen_s": 0.1}
 PATIENT_LIMITS = {
-    "feedback_missing_ticks": 5000, "status_missing_ticks": 5000, "heartbeat_timeout_s": 20, "following_error_s": 20,
+    "feedback_missing_ticks": 5000, "accept_runaway": True, "status_missing_ticks": 5000, "heartbeat_timeout_s": 20,
+    "following_error_s": 20,
 }  # fmt: skip
 PATIENT_DAEMON = {"supervisor_timeout_s": 20, "retry_s": 0.05, "stop_timeout_s": 20, "enable_timeout_s": 20}
 

@@ -9,7 +9,9 @@ import pytest
 import yaml
 from daemon.rig import Rig, edit
 from daemon.test_supervisor import refused
+from recording.samples import random_rows, write_run
 
+from fffo_drive.control.reference import MODE_VELOCITY
 from fffo_drive.drive.simulated.node.objects import OVERCURRENT
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import RecordKind
@@ -19,6 +21,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 
 KEY = "controller.proportional_a_per_rps"
 SINE = {"kind": "sine", "duration_s": 20, "amplitude": 1, "frequency_hz": 0.5}
+DELETED = "deleted to stay below recording.quota_bytes, 1 MB: "
 SHORT = {"kind": "sine", "duration_s": 0.4, "amplitude": 1, "frequency_hz": 5}
 COGGING = {"name": "cogging", "parameters": {"sin_nm": {"value": -0.001}, "order": {"value": 4.0}}}
 
@@ -46,6 +49,10 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
         client.call("record", to="on")
         client.call("enable")
         client.act("start", profile=SINE)
+        # off and on in a motion: the second recording begins in its midst
+        client.call("record", to="off")
+        seen(rig, client)
+        client.call("record", to="on")
         for change in (
             lambda: client.call("set", key=KEY, value=0.9),
             lambda: client.call("toggle", to="fb"),
@@ -88,8 +95,12 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
     rows = np.concatenate([run.rows for run in runs])
     report = replay_files(given)
     assert report.exact, report
-    assert report.all_rows == rows.size - len(starts)  # before the first row of a recording nothing is known
+    assert report.all_rows == rows.size
     assert report.rows == (rows["mode"] == 1).sum() > 200
+    alone = [replay_files([file]) for file in given if read_run(file).rows.size]
+    assert all(one.exact or not one.rows for one in alone)  # each by itself, too, from its first row on
+    assert all(one.all_rows == read_run(file).rows.size for one, file in zip(alone, given, strict=True))
+    assert sum(run.rows["mode"][0] == MODE_VELOCITY for run in runs) >= 2  # begun by hand, and by rotation
     assert len({used.parameters for used in report.blocks}) >= 4
     assert len({used.model for used in report.blocks}) == 2
     assert report.profiles.other == 0
@@ -107,3 +118,34 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
     change = next(n for n in numbers if records[n].data.get("values") == {"key": KEY, "value": 0.9})
     after = next(n for n in numbers if n > change and records[n].kind == RecordKind.PARAMETERS)
     assert records[after].by_name["pi.proportional_a_per_rps"] == 0.9
+
+
+def test_a_quota_deletes_the_service_s_own_oldest_files_tells_it_and_stops_nothing(tmp_path):
+    with Rig(tmp_path, record_required=True) as rig:
+        limits = {"rotate_s": 1.0, "rotate_bytes": None, "quota_bytes": 1_000_000, "compression": "none"}
+        edit(rig.path, lambda axis: axis["recording"].update(limits))
+        client = rig.client()
+        rig.until("ready", client)
+        client.call("reload")
+        client.call("record", to="on")
+        single = tmp_path / "axis" / "runs" / "a_single_run.mcap"
+        write_run(single, random_rows(2000))
+        client.call("enable")
+
+        def deleted(status):
+            assert status["state"] == "enabled"
+            assert not status["recording"]["trouble"]
+            told = [event["text"] for event in client.call("events")["events"]]
+            return status["recording"]["disk_life"] and any(text.startswith(DELETED) for text in told)
+
+        status = rig.until_status(deleted, client)
+        assert "with the quota of 1 MB the last " in status["recording"]["disk_life"]["text"]
+        assert 0 < status["recording"]["disk_life"]["bytes_per_s"] < 1e6
+        client.call("disable")
+        files = [Path(name) for name in client.call("record", to="off")["files"]]
+    left = [file for file in files if file.exists()]
+    assert left == files[len(files) - len(left) :]  # the youngest
+    assert 2 <= len(left) < len(files)
+    assert sum(file.stat().st_size for file in left) < 1_500_000
+    assert read_run(single).rows.size == 2000
+    assert all(replay_files([file]).all_rows == read_run(file).rows.size for file in left)

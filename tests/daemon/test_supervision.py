@@ -230,7 +230,7 @@ class Recording:
     def __init__(self) -> None:
         self.alive = True
         self.turning, self._turns = True, 0
-        self.current_path = Path("a.mcap.part")
+        self.current_path, self.disk_life = Path("a.mcap.part"), None
         self.statistics = SimpleNamespace(
             rows_dropped=0, rows_lost=0, write_errors=0, last_error="", files=(), rows_written=0
         )

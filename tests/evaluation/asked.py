@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from evaluation.gated import GatedDrive, GatedRun
 
 from fffo_drive.config.axis import AxisFile, build_profile, controller_config, model_note
 from fffo_drive.config.effects import compensation_table
-from fffo_drive.config.sections import VelocitySection
+from fffo_drive.config.sections import AdaptationSection, VelocitySection
 from fffo_drive.config.session import session_config
 from fffo_drive.control.compensation import ALL_EFFECTS
 from fffo_drive.control.reference import MODE_CURRENT, MODE_VELOCITY, piecewise_linear, sine
@@ -24,6 +25,7 @@ from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recorder import Recorder
 from fffo_drive.recording.settings import RecorderHooks, RecorderSettings, RotationPolicy
 from fffo_drive.runtime import blocks as b
+from fffo_drive.runtime.session import Session
 from fffo_drive.workflows.replay import with_continuations
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -63,10 +65,31 @@ def models() -> list:
     return [bare, *(bare.model_copy(update={"effects": effects}) for effects in ([cogging], [drag, cogging]))]
 
 
+class Ticking:
+    """The loop's memory where the recorder waits for it: the loop, which stands between two ticks, goes one further."""
+
+    def __init__(self, session: Session, run: GatedRun) -> None:
+        self._session, self._run = session, run
+        self.memory_given = session.memory_given
+
+    def ask_for_memory(self) -> int | None:
+        number = self._session.ask_for_memory()
+        self._run.ticks(1)
+        return number
+
+
 class Asked:
     """One run: requests by name, as the daemon makes them."""
 
-    def __init__(self, directory: Path, seed: int = 1, rotate_bytes: int | None = None, most_ticks: int = 20_000):
+    def __init__(
+        self,
+        directory: Path,
+        seed: int = 1,
+        rotate_bytes: int | None = None,
+        most_ticks: int = 20_000,
+        recorded: bool = True,
+    ):
+        """`recorded`: from the first row on; else `record` begins."""
         self.models = models()
         self.axis, self.model = AXIS, self.models[1]
         self.resets = 0
@@ -74,12 +97,22 @@ class Asked:
         config = session_config(AXIS, self.model, 4000, 1 << 15)
         self.run = GatedRun(config, GatedDrive(replace(PlantConfig(), seed=seed)))
         self.session = self.run.session
-        hooks = RecorderHooks(clock_ns=lambda: int(self.run.drive.port.drive.words[0]))
-        settings = RecorderSettings(flush_interval_s=0.0, rotation=RotationPolicy(max_bytes=rotate_bytes))
-        self.recorder = Recorder(
-            self.session.ring, self.path, settings=settings, hooks=hooks, records=self.session.records
-        )
+        self._settings = RecorderSettings(flush_interval_s=0.0, rotation=RotationPolicy(max_bytes=rotate_bytes))
+        if recorded:
+            self.record(0.0)
         self.run.begin(most_ticks)
+
+    def record(self, value: float) -> None:
+        """Record from here on; with `value` 1 in the midst of what the loop does, which it says with its next tick."""
+        self.recorder = Recorder(
+            self.session.ring,
+            self.path,
+            settings=self._settings,
+            hooks=RecorderHooks(clock_ns=lambda: int(self.run.drive.port.drive.words[0])),
+            records=self.session.records,
+            from_now=value == 1.0,
+            memory=Ticking(self.session, self.run) if value == 1.0 else self.session,
+        )
 
     def ask(self, what: str, value: float) -> None:
         """`value` from 0 to 1 chooses among what can be asked for."""
@@ -93,6 +126,14 @@ class Asked:
     def velocity(self, value: float) -> None:
         section = VelocitySection(source="estimated" if value >= 0.3 else "drive", bandwidth_hz=50.0 + 300.0 * value)
         controller = self.axis.controller.model_copy(update={"velocity": section})
+        self.axis = self.axis.model_copy(update={"controller": controller})
+        self._publish()
+
+    def adaptation(self, value: float) -> None:
+        """Learn in service, fast; or with 0 no longer."""
+        section = AdaptationSection(enabled=value > 0.0, time_s=5.0, bound_share=0.5)
+        observer = self.axis.controller.observer.model_copy(update={"learns_in": "integral"})
+        controller = self.axis.controller.model_copy(update={"adaptation": section, "observer": observer})
         self.axis = self.axis.model_copy(update={"controller": controller})
         self._publish()
 
@@ -177,6 +218,47 @@ def tell(directory: Path, story=STORY, drain_each: bool = False, **options) -> l
         if drain_each:
             asked.recorder.drain_once()
     return asked.finish()
+
+
+MOVING = (  # into the midst of a profile, with all that the law remembers
+    ("toggle", 0.5, 3),
+    ("enable", 0.0, 40),
+    ("velocity", 0.5, 5),
+    ("adaptation", 1.0, 5),
+    ("start", 0.0, 333),
+    ("record", 1.0, 150),
+    ("gains", 0.3, 60),
+    ("abort", 0.0, 10),
+    ("set_point", 0.0, 77),
+    ("drain", 0.0, 3),
+    ("set_point", 1.0, 30),
+    ("disable", 1.0, 30),
+)
+LIVE = (
+    ("toggle", 0.5, 3),
+    ("velocity", 0.9, 5),
+    ("enable", 0.0, 40),
+    ("set_point", 0.0, 60),
+    ("record", 1.0, 40),
+    ("set_point", 0.35, 60),
+    ("in_service", 0.0, 20),
+    ("disable", 1.0, 30),
+)
+AT_REST = (("toggle", 0.5, 3), ("enable", 0.0, 400), ("record", 1.0, 120), ("disable", 1.0, 30))
+MIDST = {"moving": MOVING, "live": LIVE, "at rest": AT_REST}
+
+
+def begun_in_the_midst() -> list[str]:
+    """For another interpreter: of each story of MIDST whether its recording replays, and the commands in it."""
+    said: list[str] = []
+    for story in MIDST.values():
+        with tempfile.TemporaryDirectory() as directory:
+            (file,) = tell(Path(directory), story, recorded=False)
+            run = read_run(file)
+            replayer = Replayer()
+            replayer.take(run.rows, run.records)
+        said += [str(replayer.report.exact), *(value.hex() for value in run.rows["limited_a"].tolist())]
+    return said
 
 
 def replayed_files() -> list[str]:

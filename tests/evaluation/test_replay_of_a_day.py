@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 import pytest
-from evaluation.asked import AXIS, FILES, PROFILES, WHAT, models, replayed_files, tell
+from evaluation.asked import AXIS, FILES, MIDST, PROFILES, WHAT, begun_in_the_midst, models, replayed_files, tell
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from interpreted import hex_results
@@ -16,12 +16,19 @@ from fffo_drive.cli import main
 from fffo_drive.config.axis import controller_config, envelope_config
 from fffo_drive.config.effects import compensation_table
 from fffo_drive.control.controller import pack_controller
+from fffo_drive.control.reference import MODE_VELOCITY
 from fffo_drive.drive.cia402 import GOAL_DISABLED
 from fffo_drive.evaluation.replay_runs import ReplayedLaw, Replayer
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.run_records import RecordKind, decode_record, encode_record
 from fffo_drive.runtime import records as made
-from fffo_drive.runtime.tick import FLAG_EMERGENCY, FLAG_ESTIMATED_VELOCITY, LoopConfig
+from fffo_drive.runtime.tick import (
+    FLAG_ADAPTS,
+    FLAG_EMERGENCY,
+    FLAG_ESTIMATED_VELOCITY,
+    FLAG_LOOP_BEGAN,
+    LoopConfig,
+)
 from fffo_drive.signals import ROW
 from fffo_drive.workflows.replay import replay_files
 
@@ -60,7 +67,7 @@ def test_a_run_with_everything_in_it_replays(story):
     assert report.profiles.other == 0
     assert report.live.as_asked == (run.rows["set_point_sample"] >= 0).sum() > 600
     assert report.live.other == report.live.not_followed == 0
-    assert {record.kind for record in run.records} == set(RecordKind)
+    assert {record.kind for record in run.records} == set(RecordKind) - {RecordKind.MEMORY}  # it begins with the loop
     assert (run.rows["trip"] != 0).any()
     assert (run.rows["resetting"] != 0).any()
     assert (run.rows["effects_nm"] != 0).any()
@@ -93,12 +100,57 @@ def test_files_of_a_rotated_run_are_one_run_and_each_stands_alone(story, cut):
     assert together.exact
     assert together.all_rows == whole.rows.size
     for part, report in zip(parts, alone, strict=True):
-        assert report.all_identical == report.all_rows  # what is known of it, to the last bit
-        assert report.rows + report.not_replayed == (part.rows["mode"] == 1).sum()
+        assert report.all_identical == report.all_rows == part.rows.size
+        assert report.rows == (part.rows["mode"] == 1).sum()
+        assert report.live.as_asked == (part.rows["set_point_sample"] >= 0).sum()
+        assert report.not_replayed == report.live.other == report.live.not_followed == 0
         named = {record.number for record in part.records if record.kind == RecordKind.PARAMETERS}
         assert set(part.rows["parameters_number"].tolist()) <= named
-    assert any(report.not_replayed for report in alone)  # those that begin in a motion
-    assert sum(report.rows for report in alone) > 300
+    assert sum(part.rows["mode"][0] == 1 for part in parts) >= 3  # those that begin in a motion
+    assert sum(report.rows for report in alone) == together.rows
+
+
+@pytest.mark.parametrize("story", MIDST)
+def test_a_recording_that_begins_while_the_axis_is_enabled_replays_from_its_first_row(tmp_path, story):
+    (file,) = tell(tmp_path, MIDST[story], recorded=False)
+    run = read_run(file)
+    report = replay_files([file])
+    assert run.rows["mode"][0] == MODE_VELOCITY
+    assert not run.rows["flags"][0] & FLAG_LOOP_BEGAN
+    assert report.exact
+    assert report.all_rows == run.rows.size
+    assert report.rows == (run.rows["mode"] == 1).sum() > 100
+    assert report.live.as_asked == (run.rows["set_point_sample"] >= 0).sum()
+    if story == "moving":
+        first = run.rows[0]
+        assert abs(first["reference_rps"]) > 0.5
+        assert first["flags"] & FLAG_ESTIMATED_VELOCITY
+        assert first["flags"] & FLAG_ADAPTS
+        assert first["adapted_coulomb_nm"] != 0.0
+        assert first["effects_nm"] != 0.0
+    if story == "live":
+        assert run.rows["set_point_sample"][0] > 0
+
+
+@pytest.mark.parametrize("story", MIDST)
+def test_a_memory_that_is_not_what_the_loop_had_is_found(tmp_path, story):
+    (file,) = tell(tmp_path, MIDST[story], recorded=False)
+    run = read_run(file)
+    (memory,) = (record for record in run.records if record.kind == RecordKind.MEMORY)
+    place = memory.names.index("law.controller.integral_a")
+    values = list(memory.values)
+    values[place] += 1e-9
+    other = [record._replace(values=tuple(values)) if record is memory else record for record in run.records]
+    assert not replayed((run.rows, other)).exact
+    without = replayed((run.rows, [record for record in run.records if record is not memory]))
+    assert without.not_replayed > 100
+
+
+@pytest.mark.slow
+def test_loop_and_replay_from_the_midst_give_the_same_bits_without_compilation():
+    there = hex_results("evaluation.asked", "begun_in_the_midst")
+    assert there.count("True") == len(MIDST)
+    assert there == begun_in_the_midst()
 
 
 def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_reaches_and_says_so(story, tmp_path, capsys):
@@ -116,11 +168,11 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_reaches_and_says_so(st
     assert replay_files([story]).torn == ()
 
 
-def test_a_missing_file_costs_the_rows_until_the_law_rests(cut):
-    report = replay_files([cut[0], *cut[2:]])
-    assert report.not_replayed > 0
-    assert not report.exact
-    assert report.all_identical == report.all_rows > 0
+def test_a_missing_file_costs_its_own_rows_alone(cut):
+    left = [cut[0], *cut[2:]]
+    report = replay_files(left)
+    assert report.exact
+    assert report.all_rows == sum(read_run(file).rows.size for file in left)
 
 
 def test_a_file_that_was_continued_brings_the_others_along(cut, capsys):

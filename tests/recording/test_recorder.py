@@ -260,7 +260,7 @@ def test_quota_deletes_the_oldest_segments(tmp_path):
     assert left == [path for path in statistics.files if path.exists()]
     assert left == list(statistics.files[-len(left) :])  # the youngest
     assert len(left) < len(statistics.files)
-    assert all("old recordings deleted" in text for text in bench.texts)
+    assert all("deleted to stay below recording.quota_bytes, 200 kB" in text for text in bench.texts)
     deleted = [name for event in bench.events for name in event.data["files"]]
     assert deleted == [path.name for path in statistics.files[: len(deleted)]]
 

@@ -1,4 +1,4 @@
-"""Quota: only this program's finished recordings are deleted, oldest first."""
+"""Quota: only the finished recordings of one writer are deleted, oldest first."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ from mcap.writer import Writer
 from recording.samples import random_rows, write_run
 
 from fffo_drive.recording.recover import recover
-from fffo_drive.recording.rotation import enforce_quota, is_own, later_segments, segment_order, segment_path
+from fffo_drive.recording.rotation import (
+    SERVICE,
+    OfOneWriter,
+    enforce_quota,
+    is_own,
+    later_segments,
+    segment_order,
+    segment_path,
+)
 from fffo_drive.recording.settings import RotationPolicy
+from fffo_drive.recording.writer import RunWriter
+
+BENCH = OfOneWriter({"axis": "bench"})  # as `write_run` writes them
 
 
 def recording(directory, name: str, age_s: int):
@@ -22,9 +33,9 @@ def recording(directory, name: str, age_s: int):
 def test_oldest_first_and_no_more_than_needed(tmp_path):
     paths = [recording(tmp_path, f"{name}.mcap", age) for name, age in (("c", 40), ("a", 30), ("d", 20), ("b", 10))]
     size = paths[0].stat().st_size
-    assert enforce_quota(tmp_path, 4 * size) == ((), 4 * size, True)
-    assert enforce_quota(tmp_path, 3 * size - 1) == ((paths[0], paths[1]), 2 * size, True)
-    assert enforce_quota(tmp_path, 1, keep=[paths[2]]) == ((paths[3],), size, False)
+    assert enforce_quota(tmp_path, 4 * size, BENCH) == ((), 4 * size, True)
+    assert enforce_quota(tmp_path, 3 * size - 1, BENCH) == ((paths[0], paths[1]), 2 * size, True)
+    assert enforce_quota(tmp_path, 1, BENCH, keep=[paths[2]]) == ((paths[3],), size, False)
     assert paths[2].exists()
 
 
@@ -40,13 +51,36 @@ def test_files_of_others_and_unfinished_ones_stay(tmp_path):
     text.write_text("fffo-drive/ in a text")
     directory = tmp_path / "folder.mcap"
     directory.mkdir()
-    report = enforce_quota(tmp_path, 1)
+    report = enforce_quota(tmp_path, 1, BENCH)
     assert report.deleted == (own,)
     assert not report.within
     assert report.total_bytes == part.stat().st_size
     assert foreign.exists()
     assert text.exists()
     assert directory.exists()
+
+
+def of(directory, name: str, **metadata: str):
+    """A finished recording with this metadata."""
+    writer = RunWriter(directory / name, metadata)
+    writer.write_rows(random_rows(50))
+    return writer.close()
+
+
+def test_a_service_deletes_its_own_recordings_alone(tmp_path):
+    own = [of(tmp_path, f"own_{number}.mcap", axis="x", source=SERVICE) for number in range(3)]
+    others = [
+        of(tmp_path, "single_run.mcap", axis="x"),  # of `fffo-drive run`
+        of(tmp_path, "other_axis.mcap", axis="y", source=SERVICE),
+    ]
+    os.link(own[1], tmp_path / "kept.mcap")  # somebody gave it a name of his own, as `run --served` does
+    size = own[0].stat().st_size
+    service = OfOneWriter({"axis": "x", "source": SERVICE, "connection": "7"})
+    assert enforce_quota(tmp_path, 2 * size, service) == ((), 2 * size, True)
+    report = enforce_quota(tmp_path, size, service)
+    assert report.deleted == (own[0],)
+    assert enforce_quota(tmp_path, 1, service).deleted == (own[2],)
+    assert all(path.exists() for path in (*others, own[1], tmp_path / "kept.mcap"))
 
 
 def test_recovered_files_are_own(tmp_path):
@@ -76,7 +110,7 @@ def test_the_continuations_of_a_run_come_by_their_number(tmp_path):
 def test_of_files_of_one_moment_the_first_of_a_run_goes_first(tmp_path):
     names = [f"run_{number}.mcap" for number in (1000, 999)]
     late, early = [recording(tmp_path, name, 10) for name in names]
-    assert enforce_quota(tmp_path, late.stat().st_size).deleted == (early,)
+    assert enforce_quota(tmp_path, late.stat().st_size, BENCH).deleted == (early,)
 
 
 @pytest.mark.parametrize("field", ["max_bytes", "max_duration_s", "quota_bytes"])

@@ -13,11 +13,11 @@ from fffo_drive import formats
 from fffo_drive.cli import main
 from fffo_drive.commissioning.record import read_record
 from fffo_drive.config.adoption import read_history
-from fffo_drive.config.axis import read_axis
+from fffo_drive.config.axis import build_profile, read_axis
 from fffo_drive.config.drive_profile import read_profile
 from fffo_drive.config.scenario import read_scenario
 from fffo_drive.config.simulated import read_simulated
-from fffo_drive.documents import parse, read_text
+from fffo_drive.documents import DocumentError, parse, read_text
 from fffo_drive.fleet.prior import population_from_plain
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.formats import FORMATS, kind_of
@@ -72,7 +72,9 @@ def test_the_axis_in_process():
     assert axis.profile.model_dump() == {
         "kind": "sine", "mode": "velocity", "duration_s": 0.3, "amplitude": 2.0, "frequency_hz": 5.0,
     }  # fmt: skip
-    assert make_plan(FIRST / "axis_simulated.yaml").profile.values.size == 300
+    assert build_profile(axis.profile, axis.loop.period_s).values.size == 300
+    with pytest.raises(DocumentError, match=r"axis_simulated\.yaml:32: .*envelope\.accept_runaway: true"):
+        make_plan(FIRST / "axis_simulated.yaml")  # 0.1.0 let an axis be blind for as long as anybody liked
 
 
 def test_the_axis_on_a_bus():
@@ -202,7 +204,17 @@ def test_the_commands_read_them(name, capsys):
     assert json.loads(capsys.readouterr().out)["metadata"]["fffo_drive"] == "0.1.0"
 
 
-def test_the_checks_pass(capsys):
+def test_the_checks_pass_but_for_the_tolerance_that_0_1_0_did_not_check(tmp_path, capsys):
+    """The file may be blind for 200 ticks; what is added is what the message says."""
+    shutil.copytree(FIRST, tmp_path, dirs_exist_ok=True)
     for name in ("axis_simulated.yaml", "axis_canopen.yaml"):
-        assert main(["config", "check", str(FIRST / name)]) == 0
-        assert capsys.readouterr().out.startswith(f"{FIRST / name}: ok")
+        path = tmp_path / name
+        assert main(["config", "check", str(path)]) == 78
+        (said,) = capsys.readouterr().err.splitlines()
+        assert "envelope.feedback_missing_ticks: blind for at most 200 ticks" in said
+        assert "accept it by envelope.accept_runaway: true" in said
+        path.write_text(path.read_text().replace("envelope:\n", "envelope:\n  accept_runaway: true\n"))
+        assert main(["config", "check", str(path)]) == 0
+        out = capsys.readouterr().out
+        assert out.startswith(f"{path}: ok")
+        assert "warning: accepted by envelope.accept_runaway: blind for at most 200 ticks" in out

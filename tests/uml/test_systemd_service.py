@@ -46,8 +46,8 @@ AXIS: dict[str, Any] = {
     },
     "envelope": {
         "current_limit_a": 14, "continuous_current_a": 8.3, "speed_limit_rps": 25, "following_error_rps": 8,
-        "following_error_s": 60, "feedback_missing_ticks": 1000, "status_missing_ticks": 1000,
-        "heartbeat_timeout_s": 30,
+        "following_error_s": 60, "feedback_missing_ticks": 1000, "accept_runaway": True,
+        "status_missing_ticks": 1000, "heartbeat_timeout_s": 30,
     },
     "loop": {"rate_hz": 100},
     "realtime": {"priority": PRIORITY, "cpu": "last", "lock_memory": True, "required": True},

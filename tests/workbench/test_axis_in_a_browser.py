@@ -401,7 +401,8 @@ def test_a_screen_reader_finds_everything_and_a_narrow_page_needs_no_scrolling_s
 # what a shared machine needs to be commissioned: a plant that SYNC steps, a slow loop, and patience
 PATIENT_LINES = {
     "rated_current_a: 8.3\n": "  heartbeat_timeout_ms: 5000\n  command_timeout_ms: 5000\n",
-    "following_error_s: 0.2\n": "  feedback_missing_ticks: 4000\n  status_missing_ticks: 8000\n"
+    "following_error_s: 0.2\n": "  feedback_missing_ticks: 4000\n  accept_runaway: true\n"
+    "  status_missing_ticks: 8000\n"
     "  heartbeat_timeout_s: 10\nloop: {rate_hz: 250, cutoff_share: 0.9}\n",
 }
 

@@ -97,7 +97,7 @@
     $("axis-obstacles").textContent = s.obstacles.length ? `Not ready: ${s.obstacles.join("; ")}` : "";
     const m = s.motion, recording = s.recording.on ? `${s.recording.rows_written} rows${s.recording.trouble ? `: ${s.recording.trouble}` : ""}` : "off";
     const rows = [["drive", s.drive ? `${s.drive.name || "drive"}: ${s.drive.state}` : "none answers"], ["velocity", m ? `${m.velocity_rps.toFixed(3)} rps of ${m.reference_rps.toFixed(3)}` : "–"],
-      ["position", m ? `${m.position_rev.toFixed(4)} rev` : "–"], ["current", m ? `${m.current_a.toFixed(3)} A` : "–"], ["model", s.model.name], ["late ticks", s.loop ? `${s.loop.late} of ${s.loop.tick}` : "–"], ["recording", recording], ["held by", s.held_by || "nobody"]];
+      ["position", m ? `${m.position_rev.toFixed(4)} rev` : "–"], ["current", m ? `${m.current_a.toFixed(3)} A` : "–"], ["model", s.model.name], ["late ticks", s.loop ? `${s.loop.late} of ${s.loop.tick}` : "–"], ["recording", recording], ...(s.recording.disk_life ? [["disk", s.recording.disk_life.text]] : []), ["held by", s.held_by || "nobody"]];
     bench.fill($("axis-live"), rows.flatMap(([name, text]) => [bench.element("dt", name), bench.element("dd", text)]));
     for (const radio of document.querySelectorAll("input[name=friction]")) radio.checked = radio.value === s.toggle;
     allow();
