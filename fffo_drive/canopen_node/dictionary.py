@@ -15,6 +15,7 @@ from typing import Any
 
 from .abort import Abort, SdoAbortError
 
+WAITS_FOR_MASTER = 1 << 2  # of 0x1F80 (CiA 302-2): clear in a node that starts itself
 Value = int | bytes
 
 

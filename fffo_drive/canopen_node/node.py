@@ -22,7 +22,7 @@ from ..can.frame import (
 from . import emcy
 from .abort import Abort, SdoAbortError
 from .bus import NEVER, Bus, Handler, identifier
-from .dictionary import ObjectDictionary
+from .dictionary import WAITS_FOR_MASTER, ObjectDictionary
 from .emcy import EmergencyProducer
 from .guarding import NodeGuarding
 from .heartbeat import HeartbeatConsumer, HeartbeatProducer
@@ -38,7 +38,6 @@ from .tpdo import Tpdo
 
 ERROR_BEHAVIOUR = 0x1029
 STARTUP = 0x1F80
-WAITS_FOR_MASTER = 1 << 2  # of 0x1F80 (CiA 302-2): clear in a node that starts itself
 MOST_PDOS = 512  # in each direction
 
 

@@ -20,7 +20,7 @@ COMMANDS = {
     "bring-up": ("bring_up", "write the axis file of a drive on a bus: scan, read, measure; moves nothing"),
     "commission": ("commission", "check signs, scales, delay and limits of an axis, and write a record"),
     "sim": ("sim", "run the simulated drive as a CANopen node on a bus"),
-    "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO"),
+    "bench": ("bench", "the paper's comparison live on a loopback bus: PI, PI+FBFO, PI+FFFO, and our PI+FFFO+"),
     "evaluate": ("evaluate", "compare controllers over seeds, on recordings or on a bus"),
     "replay": ("replay", "run a recording through the control law again and compare, bit for bit"),
     "import": ("import_logs", "convert logs of other programs: recognise their columns, write recordings"),
@@ -89,9 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if os.environ.get(LINES_ENVIRONMENT):  # a job: it is interrupted even if who began it had that signal ignored
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if command in COMMANDS:
-        os.environ.setdefault(
-            "OPENBLAS_NUM_THREADS", "1"
-        )  # numpy is not loaded yet; work is shared out by threads here
+        # numpy is not loaded yet; work is shared out by threads here
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
             return int(module.execute(parser_of(command).parse_args(words[words.index(command) + 1 :])))

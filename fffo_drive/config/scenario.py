@@ -185,12 +185,25 @@ def read_scenario(path: str | Path) -> Scenario:
         plant, device = _changed_plant(drive.plant, file.plant, path, lines), drive.device
     elif file.plant:
         refuse(path, [("plant", "the axis is on a bus: its plant cannot be changed")])
-    scenario = Scenario(path, file, axis_path, axis, model, plant, device)
-    refuse(path, _adaptation_problems(scenario))
-    problems = length_problems(file.reference or axis.profile, axis.loop)
-    problems = problems or profile_problems(axis, reference_of(scenario, file.first_seed))
-    refuse(path, [("reference", problem.removeprefix("profile: ")) for problem in problems])
+    return _checked(Scenario(path, file, axis_path, axis, model, plant, device))
+
+
+def _checked(scenario: Scenario) -> Scenario:
+    """The scenario. Raises DocumentError for a law that adapts beside another, and a reference beyond the limits."""
+    refuse(scenario.path, _adaptation_problems(scenario))
+    problems = length_problems(scenario.file.reference or scenario.axis.profile, scenario.axis.loop)
+    problems = problems or profile_problems(scenario.axis, reference_of(scenario, scenario.file.first_seed))
+    refuse(scenario.path, [("reference", problem.removeprefix("profile: ")) for problem in problems])
     return scenario
+
+
+def on_axis(scenario: Scenario, axis_path: str | Path) -> Scenario:
+    """The controllers of a scenario once on another axis, on the profile of its file. Raises DocumentError."""
+    path = Path(axis_path)
+    axis = read_axis(path)
+    one_run = {"reference": axis.profile, "seeds": 1, "vary_phases": False, "mismatch": MismatchSection()}
+    file = scenario.file.model_copy(update=one_run)
+    return _checked(Scenario(path, file, path, axis, model_of(path, axis), None, None))
 
 
 def _adaptation_problems(scenario: Scenario) -> list[tuple[str, str]]:

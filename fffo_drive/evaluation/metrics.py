@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,12 +12,13 @@ from ..drive.port import ExchangeCounts
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
 
-# Table II in per cent of the smallest; shown next to the measured values
+# Table II, in per cent of PI+FFFO; shown next to the measured values
 PAPER_TABLE_2 = {
     "PI": {"ise": 442.0, "mae": 222.0, "max": 159.0, "std": 210.0},
     "PI+FBFO": {"ise": 146.0, "mae": 122.0, "max": 114.0, "std": 120.0},
     "PI+FFFO": {"ise": 100.0, "mae": 100.0, "max": 100.0, "std": 100.0},
 }
+TABLE_2_BASE = "PI+FFFO"
 
 
 class ErrorMetrics(NamedTuple):
@@ -121,13 +123,20 @@ def tick_statistics(rows: Rows, exchange: ExchangeCounts | None = None) -> TickS
     )
 
 
-def percent_of_smallest(metrics: dict[str, ErrorMetrics]) -> dict[str, dict[str, float]]:
-    """Each metric in per cent of the smallest among the controllers, as Table II has it."""
-    smallest = [min(values) for values in zip(*metrics.values(), strict=True)]
+def bases_of(metrics: Mapping[str, ErrorMetrics]) -> dict[str, str]:
+    """The controller that is 100 % of each metric: PI+FFFO as in Table II, the smallest where it was not run."""
+    return {
+        key: TABLE_2_BASE if TABLE_2_BASE in metrics else min(metrics, key=lambda name: getattr(metrics[name], key))
+        for key in ErrorMetrics._fields
+    }
+
+
+def percent_of_bases(metrics: Mapping[str, ErrorMetrics]) -> dict[str, dict[str, float]]:
+    """Each metric in per cent of that of its base (`bases_of`)."""
+    bases = {key: getattr(metrics[name], key) for key, name in bases_of(metrics).items()}
     return {
         name: {
-            key: 100.0 * value / least if least > 0 else float("nan")
-            for key, value, least in zip(ErrorMetrics._fields, values, smallest, strict=True)
+            key: 100.0 * value / bases[key] if bases[key] > 0 else float("nan") for key, value in own._asdict().items()
         }
-        for name, values in metrics.items()
+        for name, own in metrics.items()
     }

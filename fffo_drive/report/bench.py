@@ -15,7 +15,8 @@ from ..evaluation.metrics import (
     ErrorMetrics,
     Rows,
     TickStatistics,
-    percent_of_smallest,
+    bases_of,
+    percent_of_bases,
     run_metrics,
     tick_statistics,
 )
@@ -78,12 +79,17 @@ class BenchResult(NamedTuple):
     metrics: dict[str, ErrorMetrics]
     ticks: dict[str, TickStatistics]
     rows_lost: dict[str, int]
-    intervals: Intervals
+    intervals: Intervals  # of the ratios to what is 100 %
+    margins: Intervals  # of the ratios to the best
     late_us: float
+    label: str  # what sets the axis apart from that of the paper; empty: nothing
 
 
-def evaluate(records: Mapping[str, BenchRecord]) -> BenchResult:
-    """Metrics, ticks and intervals of the runs. Raises ValueError when the runs do not share one profile."""
+def evaluate(records: Mapping[str, BenchRecord], label: str = "") -> BenchResult:
+    """Metrics, ticks and intervals of the runs. Raises ValueError when the runs do not share one profile.
+
+    `label`: what sets the axis apart from that of the paper; it is shown with the result.
+    """
     profiles = {(r.metadata.get("period_s", "?"), r.metadata.get("profile_samples", "?")) for r in records.values()}
     if len(profiles) != 1 or "?" in next(iter(profiles)):
         raise ValueError(f"a bench compares runs of one profile; these have (period, samples) {sorted(profiles)}")
@@ -94,18 +100,21 @@ def evaluate(records: Mapping[str, BenchRecord]) -> BenchResult:
     metrics = {name: run_metrics(run, period_s, samples) for name, run in rows.items()}
     errors = {name: data.error_rps(name) for name in rows}
     best = {key: min(metrics, key=lambda name: getattr(metrics[name], key)) for key in ErrorMetrics._fields}
+    stretch = max(1, round(STRETCH_S / period_s))
     return BenchResult(
         data,
         metrics,
         {name: tick_statistics(run, records[name].exchange) for name, run in rows.items()},
         {name: record.rows_lost for name, record in records.items()},
-        ratio_intervals(errors, best, max(1, round(STRETCH_S / period_s))),
+        ratio_intervals(errors, bases_of(metrics), stretch),
+        ratio_intervals(errors, best, stretch),
         1e6 * period_s * next(iter(records.values())).late_share,
+        label,
     )
 
 
 def bench_report(records: Mapping[str, BenchRecord], result: BenchResult | None = None) -> Report:
-    """The report of the runs by controller; those of the paper are called PI, PI+FBFO and PI+FFFO.
+    """The report of the runs by controller; those of the paper are called PI, PI+FBFO and PI+FFFO, ours PI+FFFO+.
 
     `result`: of `evaluate`, where it is known.
     """
@@ -119,7 +128,7 @@ def bench_report(records: Mapping[str, BenchRecord], result: BenchResult | None 
         subtitle=(
             f"Axis {head.get('axis', 'unnamed')}, {head.get('drive', 'drive not named')}: the same "
             f"{result.data.duration_s:g} s of reference velocity under each controller, at "
-            f"{1.0 / result.data.period_s:g} Hz."
+            f"{1.0 / result.data.period_s:g} Hz." + (f" {result.label}" if result.label else "")
         ),
         verdict=_verdict(result),
         tables=(_metrics_table(result), _ticks_table(result)),
@@ -225,16 +234,16 @@ def _sizes(result: BenchResult, best: str) -> Line:
 
 
 def _surety(result: BenchResult) -> Line:
-    ends = result.intervals.get("PI", {}).get("ise")
+    ends = result.margins.get("PI", {}).get("ise")
     if ends is None:
         return Line(label="How sure", text="The run is too short for an interval.")
-    text = f"The squared error of PI is {100.0 * ends.low:.0f} to {100.0 * ends.high:.0f} % of that of the best"
+    text = f"The squared error of PI is {significant(ends.low, 2)} to {significant(ends.high, 2)} times the smallest"
     return Line(label="How sure", text=f"{text}, over parts of the profile (95 %).")
 
 
 def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:
     """Certain where the interval of the ISE ratio excludes 1 and the machine kept time."""
-    ends = result.intervals.get(worse, {}).get("ise")
+    ends = result.margins.get(worse, {}).get("ise")
     if ends is None or better != min(result.metrics, key=lambda name: result.metrics[name].ise):
         return "probable"
     if ends.low <= 1.0:
@@ -292,14 +301,15 @@ def _shares(shares: Mapping[str, float]) -> str:
 
 
 def _percent(value: float, of: float) -> str:
-    return f"{100.0 * value / of:.0f} %" if of > 0 else "–"
+    return f"{significant(100.0 * value / of, 2)} %" if of > 0 else "–"
 
 
 def _metrics_table(result: BenchResult) -> Table:
-    percent = percent_of_smallest(result.metrics)
+    percent, bases = percent_of_bases(result.metrics), bases_of(result.metrics)
+    one_base = next(iter(bases.values())) if len(set(bases.values())) == 1 else "the best"
     columns: list[Heading] = []
     for name in result.metrics:
-        columns += [Heading(label=label, group=name) for label in ("value", "% of best", "paper")]
+        columns += [Heading(label=label, group=name) for label in ("value", f"% of {one_base}", "paper")]
     rows = []
     for key in ErrorMetrics._fields:
         cells: list[Cell] = []
@@ -307,7 +317,7 @@ def _metrics_table(result: BenchResult) -> Table:
             share = percent[name][key]
             best = getattr(metrics, key) == min(getattr(other, key) for other in result.metrics.values())
             end = result.intervals.get(name, {}).get(key)
-            interval = None if end is None or best else (100.0 * end.low, 100.0 * end.high)
+            interval = None if end is None or name == bases[key] else (100.0 * end.low, 100.0 * end.high)
             paper = PAPER_TABLE_2.get(name, {}).get(key, float("nan"))
             cells += [
                 number(getattr(metrics, key), best=best),
@@ -317,7 +327,7 @@ def _metrics_table(result: BenchResult) -> Table:
         rows.append(Row(label=key.upper(), unit=METRIC_UNITS[key], cells=cells))
     return Table(
         name="metrics", title="Velocity error",
-        note="Reference minus measured velocity over the profile. Per cent of the smallest, as in Table II of the "
+        note=f"Reference minus measured velocity over the profile. Per cent of {one_base}, as in Table II of the "
              "paper; below it the 95 % interval over the choice of parts of the profile (bootstrap of "
              f"{STRETCH_S:g} s stretches, the same for every run). MAX is one sample and has none. "
              "▸ marks the smallest.",
@@ -370,7 +380,9 @@ def _provenance(records: Mapping[str, BenchRecord]) -> ReportProvenance:
 def _results(result: BenchResult) -> dict[str, Any]:
     return {
         "metrics": {name: metrics._asdict() for name, metrics in result.metrics.items()},
-        "percent_of_smallest": percent_of_smallest(result.metrics),
+        "label": result.label,
+        "percent_of": bases_of(result.metrics),
+        "percent": percent_of_bases(result.metrics),
         "paper_percent": PAPER_TABLE_2,
         "ratio_intervals": {
             name: {key: end._asdict() for key, end in ends.items()} for name, ends in result.intervals.items()

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -25,6 +26,7 @@ from ..config.scenario import (
     wrong_model,
     yardstick_of,
 )
+from ..control.reference import Profile
 from ..documents import DocumentError
 from ..drive.port import DriveIdentity
 from ..evaluation.campaign import Evaluation, evaluation_of
@@ -32,7 +34,7 @@ from ..evaluation.measures import Yardstick
 from ..evaluation.trace import trace_of
 from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
-from ..runtime.runs import record_live
+from ..runtime.runs import RunOutcome, record_live
 from ..runtime.session import Session
 from .errors import DriveFaultError, RecordingGapError
 from .plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
@@ -116,13 +118,23 @@ def _profile_of(run: Run) -> tuple[Rows, int]:
     return inside, samples
 
 
-def evaluate_on_bus(
-    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, bar: Bar = no_bar
-) -> list[Evaluation]:
-    """Every controller on every seed's reference, one run after the other; recordings go to `out`.
+class BusRun(NamedTuple):
+    """One controller on one seed's reference, as it ran on the bus."""
 
-    `node`: file of a simulated drive to start on the bus; `given`: to enable the drive. Raises DocumentError when a
-    controller breaks (14) or a margin: what simulation may try, a machine may not.
+    controller: str
+    seed: int
+    profile: Profile
+    outcome: RunOutcome
+
+
+def runs_on_bus(
+    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, bar: Bar = no_bar
+) -> list[BusRun]:
+    """Every controller on every seed's reference, one run after the other on one loop; recordings go to `out`.
+
+    SYNC goes on between the runs, without torque. `node`: file of a simulated drive to start on the bus; `given`: to
+    enable the drive. Raises DocumentError when a controller breaks (14) or a margin: what simulation may try, a machine
+    may not.
     """
     section = scenario.axis.drive
     if not isinstance(section, CanopenDriveSection):
@@ -131,10 +143,9 @@ def evaluate_on_bus(
         require(scenario.path, [f"controllers: {caution}" for caution in law_cautions(scenario)])
     plan = Plan(scenario.axis_path, scenario.axis, scenario.model, reference_of(scenario, scenario.seeds[0]))
     address = bus or section.bus
-    evaluations = []
+    runs = []
     with contextlib.ExitStack() as stack:
-        if node is not None:
-            stack.enter_context(SimulatedProcess(Path(node), address))
+        process = stack.enter_context(SimulatedProcess(Path(node), address)) if node is not None else None
         drive = open_drive(plan, address)
         identity = connect(drive, given)
         session = stack.enter_context(Session(drive, plan_session(plan)))
@@ -143,6 +154,8 @@ def evaluate_on_bus(
         for seed in scenario.seeds:
             profile = reference_of(scenario, seed)
             for candidate in candidates_of(scenario, seed):
+                if process is not None:
+                    process.check()
                 session.set_controller(candidate.controller)
                 own = plan._replace(
                     profile=profile, axis=axis_of(scenario, candidate.name),
@@ -159,9 +172,19 @@ def evaluate_on_bus(
                     raise DriveFaultError(f"{candidate.name}: {outcome.fault_text}; the recording is in {path}")
                 if outcome.gap_text is not None:
                     raise RecordingGapError(f"{candidate.name}: {outcome.gap_text}")
-                trace = trace_of(recorded_rows(outcome.files), profile.period_s, profile.values.size)
-                windows = cutouts_of(profile.duration_s) if seed == scenario.seeds[0] else ()
-                evaluations.append(evaluation_of(candidate.name, seed, trace, yardstick_of(scenario.file), windows))
+                runs.append(BusRun(candidate.name, seed, profile, outcome))
+    return runs
+
+
+def evaluate_on_bus(
+    scenario: Scenario, bus: str | None, node: str | None, out: Path, given: Permission, bar: Bar = no_bar
+) -> list[Evaluation]:
+    """What `runs_on_bus` ran, measured."""
+    evaluations = []
+    for run in runs_on_bus(scenario, bus, node, out, given, bar):
+        trace = trace_of(recorded_rows(run.outcome.files), run.profile.period_s, run.profile.values.size)
+        windows = cutouts_of(run.profile.duration_s) if run.seed == scenario.seeds[0] else ()
+        evaluations.append(evaluation_of(run.controller, run.seed, trace, yardstick_of(scenario.file), windows))
     return evaluations
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..config.axis import (
     TOGGLES,
@@ -22,17 +22,17 @@ from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, effect_problems
 from ..config.runaway import runaway_problems
 from ..config.sections import ProfileSection, length_problems
-from ..config.session import session_config
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
 from ..documents import StrictRecord, check, parse, read_text, refuse, require_named
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
 from ..model.parameters import ModelFile
 from ..recording.settings import RunHeader
-from ..runtime.effect_monitor import EffectMonitor, MonitorConfig
-from ..runtime.runs import run_metadata
-from ..runtime.session import SessionConfig
 from ..units import NS_PER_S
+
+if TYPE_CHECKING:
+    from ..runtime.effect_monitor import EffectMonitor
+    from ..runtime.session import SessionConfig
 
 YAML_TYPE = "application/yaml"
 
@@ -146,11 +146,15 @@ def open_drive(plan: Plan, bus: str | None = None) -> Drive:
 
 def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
     """The session of a plan."""
+    from ..config.session import session_config
+
     return session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
 
 
 def effect_monitor(plan: Plan) -> EffectMonitor | None:
     """The monitor of the model's effects in a live run; None if no effect is compensated or monitored."""
+    from ..runtime.effect_monitor import EffectMonitor, MonitorConfig
+
     section = plan.axis.controller.effects
     names = compensated_names(plan.axis, plan.model)
     if not section.monitor or not names:
@@ -171,6 +175,8 @@ def connect(drive: Drive, given: Permission) -> DriveIdentity:
 
 def run_header(plan: Plan, identity: DriveIdentity, toggle: int, given: Permission | None = None) -> RunHeader:
     """Metadata and attachments: the file as it was read, the model, the record of commissioning where there is one."""
+    from ..runtime.runs import run_metadata
+
     profile = plan.profile
     extra = {"profile": profile.name, "profile_samples": str(profile.values.size)}
     if given:

@@ -55,7 +55,8 @@ def test_every_shipped_axis_file_is_valid_stable_and_inside_its_limits(path):
     axis = read_axis(path)
     model = model_of(path, axis)
     profile = build_profile(axis.profile, axis.loop.period_s)
-    assert law_problems(axis, model, True) == law_problems(axis, model, False) == []
+    assert axis.controller.accept_unproven == (path.name == "axis_nearest.yaml")  # which is said on everything it gives
+    assert axis.controller.accept_unproven or law_problems(axis, model, True) == law_problems(axis, model, False) == []
     assert profile_problems(axis, profile) == bus_problems(axis, model) == []
     assert controller_config(axis, model).period_s == loop_config(axis).period_ns * 1e-9
 

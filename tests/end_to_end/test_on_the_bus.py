@@ -40,13 +40,14 @@ def bench_file(tmp_path):
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_the_bench_runs_three_controllers_and_reports_them(bench_file, tmp_path, capsys):
+def test_the_bench_runs_four_controllers_and_reports_them(bench_file, tmp_path, capsys):
     drive = str(tmp_path / "drive.yaml")
     assert main(["bench", "--config", str(bench_file), "--drive", drive, "--out", str(tmp_path), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result["controllers"]) == {"PI", "PI+FBFO", "PI+FFFO"}
+    assert set(result["controllers"]) == {"PI", "PI+FBFO", "PI+FFFO", "PI+FFFO+"}
+    assert result["label"] == ""
     assert all(set(metrics) == {"ise", "mae", "max", "std"} for metrics in result["controllers"].values())
-    assert len(result["files"]) == 3
+    assert len(result["files"]) == 4
     for name, file in result["ticks"].items():
         assert file["rows_lost"] == 0, name
     for file in result["files"]:

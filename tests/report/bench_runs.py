@@ -15,7 +15,7 @@ from fffo_drive.signals import ROW
 
 PERIOD_NS = 500_000
 WALL_NS = 1_700_000_000_000_000_000
-STICTION_RPS = {"PI": 0.20, "PI+FBFO": 0.08, "PI+FFFO": 0.04}
+STICTION_RPS = {"PI": 0.20, "PI+FBFO": 0.08, "PI+FFFO": 0.04, "PI+FFFO+": 0.02}
 AXIS_FILE = b"name: bench\nloop: {rate_hz: 2000} # <script>alert(1)</script>\n"
 
 
@@ -45,7 +45,7 @@ def bench_rows(profile: Profile, stiction_rps: float, seed: int) -> np.ndarray:
 
 
 def bench_records(directory: Path, duration_s: float, skipped: int = 0) -> dict[str, BenchRecord]:
-    """Three runs, written as MCAP and read back; every `skipped`-th tick of them is missing."""
+    """Four runs, written as MCAP and read back; every `skipped`-th tick of them is missing."""
     profile = reference(duration_s)
     records = {}
     for seed, (name, stiction_rps) in enumerate(STICTION_RPS.items()):

@@ -26,6 +26,10 @@ PURPOSE = (
     "that the paper does not print, then each detail alone. A point is judged by the largest factor between a ratio "
     "and the paper's."
 )
+NEAREST_PURPOSE = (
+    "The axis of `tools/bench --nearest`, with Kt 0.0485 Nm/A and L 5.9 Nm/rev inferred; and searches that keep Kp, "
+    "Ti and delay as printed, with Kt at the least that the printed frequency response allows, and at what fits it."
+)
 SCENARIO = ROOT / "configs" / "scenarios" / "paper.yaml"
 BASE, OTHERS = "pi+fffo", ("pi", "pi+fbfo")
 RATIOS = tuple((name, metric) for name in OTHERS for metric in ErrorMetrics._fields)
@@ -63,6 +67,8 @@ class Point(NamedTuple):
 
 
 PROJECT = Point(20.0, 0.0, 0.148, 1.0, 5.0, 0.975, 0.1, 0.003, 1.0, 1.0, 0.0, "random", "five_surfaces", False)
+# `tools/bench --nearest`: all that is printed as it is printed, two numbers inferred
+TWO_INFERRED = PROJECT._replace(torque_constant_nm_per_a=0.0485, observer_nm_per_rev=5.9)
 SEEN = Point(20.0, 0.1, 0.0485, 1.0, 5.85, 0.72, 0.154, 0.00245, 0.0, 0.0, 0.2, "high", "five_surfaces", True, 0.5)
 LOGARITHMIC = {
     "torque_constant_nm_per_a": (0.02, 0.4), "observer_nm_per_rev": (0.5, 30.0), "delay_s": (0.0018, 0.006),
@@ -76,6 +82,11 @@ HELD: dict[str, dict[str, Any]] = {
     "Kt 0.148 Nm/A": {"torque_constant_nm_per_a": 0.148},
     "Kp, Ti, delay as printed": {"proportional_a_per_rps": 0.975, "integral_time_s": 0.1, "delay_s": 0.003},
 }
+# Viscous friction alone makes Gh at most Kt / sigma. With the printed Gh, 26.17 rps/A, and sigma, 0.003 Nm/rps, 0.0785
+# is the least torque constant, and with it goes the largest friction against the motor; 0.148 fits Fc at 12 rps
+ALLOWED_KT = (0.0785, 0.148)
+TWO_RECORDS = ((1, 20.0), (2, 20.0), (1, 60.0), (2, 60.0))  # seed, length in s
+KEPT_RECORDS = ((3, 20.0), (4, 20.0), (3, 60.0), (4, 60.0))  # others than those that are searched
 GAINS = ("observer_nm_per_rev", "proportional_a_per_rps", "integral_time_s")
 SHARES = (0.25, 0.5, 0.75, 1.5, 2.0)  # of the nearest point's gains
 APART = 0.15  # values closer than this to that of the nearest point are left out
@@ -313,10 +324,42 @@ def moved(series: Sequence[Found]) -> list[str]:
     return [f"x {factor:.2f}" for factor in values.max(axis=0) / values.min(axis=0)]
 
 
+def on_records(base: Scenario, point: Point, records: Sequence[tuple[int, float]]) -> list[Found]:
+    """The point on each record (seed, length in s) by itself."""
+    return [run_point(base, point._replace(length_s=length_s), (seed,)) for seed, length_s in records]
+
+
+def report_of_two(base: Scenario, trials: int) -> Report:
+    """The axis of `tools/bench --nearest`, and what searches find that keep to everything that is printed."""
+    report = Report(NAME, NEAREST_PURPOSE)
+    found = {"two numbers inferred": (TWO_INFERRED, TWO_RECORDS, on_records(base, TWO_INFERRED, TWO_RECORDS))}
+    for kt in ALLOWED_KT:
+        held = HELD["Kp, Ti, delay as printed"] | {"torque_constant_nm_per_a": kt}
+        kept = nearest(list(search(base, PROJECT._replace(**held), trials, held, np.random.default_rng(SEARCH_SEED))))
+        name = f"as printed, Kt {kt:g} Nm/A"
+        report.figure(f"{name}: worst factor, searched records, {trials + 1} points", kept.factor, "")
+        found[name] = kept.point, KEPT_RECORDS, on_records(base, kept.point, KEPT_RECORDS)
+    rows = [["paper", *(f"{ratio:.0f}" for ratio in PAPER), "1.00"]]
+    for name, (point, records, several) in found.items():
+        factors = [one.factor for one in several]
+        report.bounded(f"{name}: worst factor, a record each", f"{min(factors):.2f} to {max(factors):.2f}")
+        report.figure(f"{name}: phase margin, degrees", phase_margin_deg(scenario_of(base, point), point), "")
+        rows += [[f"{name}, record {r}, {s:g} s", *cells(one)] for (r, s), one in zip(records, several, strict=True)]
+    report.table(["point", *LABELS, "factor"], rows)
+    points = zip(Point._fields, *(point for point, _, _ in found.values()), strict=True)
+    report.table(["detail", *found], [[f"`{name}`", *map(said, row)] for name, *row in points])
+    return report
+
+
 def run() -> int:
     """The searches, the details, the tables and the data beside them."""
-    options = parser(NAME, PURPOSE, TRIALS, SAMPLE_TRIALS).parse_args()
+    arguments = parser(NAME, PURPOSE, TRIALS, SAMPLE_TRIALS)
+    arguments.add_argument("--nearest", action="store_true", help=f"only: {NEAREST_PURPOSE}")
+    options = arguments.parse_args()
     base = select_controllers(read_scenario(SCENARIO), [*OTHERS, BASE])
+    if options.nearest:
+        options.out = options.out or (None if options.sample else RESULTS / f"{NAME}_nearest.md")
+        return finish(report_of_two(base, passes_of(options)), options)
     outcome = run_all(base, passes_of(options), options.sample)
     report, best = Report(NAME, PURPOSE), nearest(outcome.tried)
     means = np.array([found.mean for found in outcome.tried if math.isfinite(found.factor)])

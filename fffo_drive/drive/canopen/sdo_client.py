@@ -7,8 +7,7 @@ from typing import Any
 from canopen import ObjectDictionary
 from canopen.sdo.client import SdoClient
 
-from .object_lengths import LengthOf, standard_length
-from .service import SDO_ABORT
+from .object_lengths import SDO_ABORT, LengthOf, standard_length
 
 NO_OBJECTS: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
 

@@ -22,12 +22,11 @@ from ...can.bpf import CanFilter
 from ...can.frame import Frame, pack_frame, unpack_frame
 from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveRefusedError
-from .object_lengths import LengthOf, standard_length
+from .object_lengths import SDO_ABORT, LengthOf, standard_length
 from .service_queue import ServiceQueue
 
 NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x80, 0x82
 STATE_BOOT_UP, STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
-SDO_ABORT = 0x80  # command byte; the only request that is not answered
 READ_ONLY = 0x06010002  # abort code: the object cannot be written
 ABSENT = (0x06020000, 0x06090011)  # abort codes: no such object, no such sub-index
 KEPT_EMERGENCIES = 64

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ....can.frame import SYNC
-from ....canopen_node.dictionary import Value, multiplexer
-from ....canopen_node.node import WAITS_FOR_MASTER
+from ....canopen_node.dictionary import WAITS_FOR_MASTER, Value, multiplexer
 from ....units import S_PER_MIN, TWO_PI
 from ..parameters import DeviceConfig, PlantConfig, PlantConfigError
 from ..ranges import NOT_IN_A_FILE, key, note, range_errors

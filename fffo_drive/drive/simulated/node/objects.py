@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ....canopen_node.cob_id import INVALID, NO_RTR
-from ....canopen_node.dictionary import DataType, Entry, ObjectKind
-from ....canopen_node.node import WAITS_FOR_MASTER
+from ....canopen_node.dictionary import WAITS_FOR_MASTER, DataType, Entry, ObjectKind
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
