@@ -36,7 +36,7 @@ class Rotating(Daemon):
         super().__init__(directory, bus)
         axis = yaml.safe_load(AXIS.read_text())
         axis["model"] = str(AXIS.parent / axis["model"])
-        axis.setdefault("recording", {}).update(rotate_s=10, quota_bytes=50_000_000)
+        axis.setdefault("recording", {}).update(rotate_s=10, rotate_bytes=20_000_000, quota_bytes=50_000_000)
         file = directory / "axis.yaml"
         file.write_text(yaml.safe_dump(axis, sort_keys=False))
         self._command[self._command.index(str(AXIS))] = str(file)
