@@ -78,8 +78,20 @@ def over(base: Document, given: Any) -> Any:
 
 
 def _axis_2(data: Document) -> dict[str, Any]:
-    """The best law that is known became the default: what a file of 1 did not switch on stays off."""
-    return {**data, "controller": over(PAPER_LAW, data["controller"])} if "controller" in data else dict(data)
+    """The best law that is known became the default: what a file of 1 did not switch on stays off.
+
+    `foreign_sync` became `foreign_command`.
+    """
+    law = {"controller": over(PAPER_LAW, data["controller"])} if "controller" in data else {}
+    return {**data, **law, **_with_todays_trips(data.get("envelope"))}
+
+
+def _with_todays_trips(envelope: Any) -> dict[str, Any]:
+    reactions = envelope.get("reactions") if isinstance(envelope, Mapping) else None
+    if not isinstance(reactions, Mapping) or "foreign_sync" not in reactions:
+        return {}
+    named = {"foreign_command" if name == "foreign_sync" else name: value for name, value in reactions.items()}
+    return {"envelope": {**envelope, "reactions": named}}
 
 
 def _scenario_2(data: Document) -> dict[str, Any]:

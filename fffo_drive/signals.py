@@ -27,6 +27,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("turnaround_ns", "<i8", "ns", "from SYNC sent to feedback received; -1 if none arrived before the cut-off"),
     Signal("busy_ns", "<i8", "ns", "from waking to command sent"),
     Signal("heartbeat_age_ns", "<i8", "ns", "age of the drive's last heartbeat; -1 before the first"),
+    Signal("foreign_id", "<i8", "-", "COB-ID of the first frame that somebody else sent for us or the drive; -1: none"),
     Signal("reference_rps", "<f8", "rps", "velocity reference at the deadline"),
     Signal("reference_rps2", "<f8", "rps2", "its time derivative"),
     Signal("reference_ahead_rps", "<f8", "rps", "reference read ahead, on which feed-forward torque is computed"),

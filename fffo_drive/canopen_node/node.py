@@ -133,6 +133,10 @@ class CanopenNode:
     def connection_lost(self, code: int, announce: bool = False) -> None:
         """React to a lost connection (0x6007). `announce`: no EMCY was sent for it yet."""
 
+    def left_operational(self) -> None:
+        """The node left NMT OPERATIONAL, by command, by itself or by a reset: a lost connection."""
+        self.connection_lost(emcy.COMMUNICATION, announce=True)
+
     def restart(self) -> None:
         """The node was reset: start as after power-on."""
 
@@ -285,7 +289,7 @@ class CanopenNode:
 
     def _on_state(self, old: NmtState, new: NmtState) -> None:
         if old is NmtState.OPERATIONAL:
-            self.connection_lost(emcy.COMMUNICATION, announce=True)
+            self.left_operational()
         for pdo in self._pdos:
             pdo.restart()
         self.sync.watch()
@@ -296,7 +300,7 @@ class CanopenNode:
 
     def _on_reset(self, whole_node: bool) -> None:
         self.advance()
-        self.connection_lost(emcy.COMMUNICATION, announce=True)
+        self.left_operational()
         self._take_node_id(self.lss.adopt(whole_node))
         self.storage.reset(whole_node)
         for pdo in self._pdos:

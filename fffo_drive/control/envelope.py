@@ -34,10 +34,11 @@ TRIP_HEARTBEAT = 11
 TRIP_REBOOT = 12
 TRIP_DRIVE_LEFT = 13
 TRIP_NOT_OPERATIONAL = 14
-TRIP_FOREIGN_SYNC = 15
+TRIP_FOREIGN_COMMAND = 15
 TRIP_LOCAL_CONTROL = 16
 TRIP_NOT_FOLLOWING = 17
-TRIP_COUNT = 18
+TRIP_SETTINGS_CHANGED = 18
+TRIP_COUNT = 19
 
 TRIP_NAMES = {  # as axis files, messages and the manual have them
     value: name.removeprefix("TRIP_").lower()
@@ -60,7 +61,7 @@ TRIP_TEXTS = {
     TRIP_REBOOT: "the drive rebooted while in use",
     TRIP_DRIVE_LEFT: "the drive left Operation Enabled by itself",
     TRIP_NOT_OPERATIONAL: "the drive left NMT state operational, as its heartbeat says",
-    TRIP_FOREIGN_SYNC: "a SYNC that is not ours: another master is on the bus",
+    TRIP_FOREIGN_COMMAND: "somebody else sends what only this program may send",
     TRIP_LOCAL_CONTROL: (
         "the drive is in local control and ignores the controlword (statusword bit 9 is 0): give control to the bus; "
         "for a drive that never sets this bit: drive.unserved_status_bits: [9]"
@@ -69,6 +70,7 @@ TRIP_TEXTS = {
         "the drive does not follow the target torque 0x6071 (statusword bit 12 is 0 in Operation Enabled): see its "
         "mode, limit switches and interlock; for a drive that never sets this bit: drive.unserved_status_bits: [12]"
     ),
+    TRIP_SETTINGS_CHANGED: "a setting of the drive is no longer what it was given when it was brought up",
 }
 
 REACTION_COAST = 0
@@ -106,9 +108,10 @@ DEFAULT_REACTIONS = {
     TRIP_NOT_OPERATIONAL: (
         REACTION_QUICK_STOP, "the drive stops by 0x6007; the quick stop takes effect when it is operational again",
     ),
-    TRIP_FOREIGN_SYNC: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_FOREIGN_COMMAND: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_LOCAL_CONTROL: (REACTION_QUICK_STOP, _IN_CASE),
     TRIP_NOT_FOLLOWING: (REACTION_QUICK_STOP, "the drive ignores the target torque, but not the controlword"),
+    TRIP_SETTINGS_CHANGED: (REACTION_QUICK_STOP, _BRAKES),
 }  # fmt: skip
 
 UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 this much later than the state to which they belong
@@ -161,8 +164,9 @@ class EnvelopeInputs(NamedTuple):
     reboots: int  # boot-up messages since the loop began
     not_operational: bool  # a heartbeat says that the drive is not in NMT state OPERATIONAL, or was not for a while
     bus_off: bool
-    foreign_syncs: int  # SYNC frames of another producer since the loop began
+    foreign_frames: int  # frames that only we may send, from somebody else, since the loop began
     heartbeat_age_ns: int  # -1: none received yet
+    settings_changes: int  # objects of the drive that were changed since the loop began
     wanted: bool  # torque is wanted in this tick
     enabled: bool  # the drive is in Operation Enabled
     closed_loop: bool  # the velocity loop is closed, so the error is meaningful
@@ -188,8 +192,8 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
     """The first reason to trip, the most certain first; TRIP_NONE if there is none."""
     if seen.bus_off:
         return TRIP_BUS_OFF
-    if seen.foreign_syncs > 0:  # before the effects of another master on the drive: the cause is reported
-        return TRIP_FOREIGN_SYNC
+    if seen.foreign_frames > 0:  # before the effects of another master on the drive: the cause is reported
+        return TRIP_FOREIGN_COMMAND
     if seen.reboots > 0:
         return TRIP_REBOOT
     if seen.emergencies > 0:
@@ -200,6 +204,8 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
         return TRIP_NOT_OPERATIONAL
     if config.heartbeat_timeout_ns > 0 and seen.heartbeat_age_ns > config.heartbeat_timeout_ns:
         return TRIP_HEARTBEAT
+    if seen.settings_changes > 0:
+        return TRIP_SETTINGS_CHANGED
     if not seen.wanted:
         return TRIP_NONE
     # from here on: reasons that apply only with torque

@@ -125,8 +125,8 @@ EVENTS = {
     ),
     StateEvent.DRIVE_LOST: Happening(
         False,
-        "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, or another "
-        "master's SYNC",
+        "bus off, interface gone, heartbeat or answers missing, drive rebooted or no longer operational, its settings "
+        "changed, or a frame that only we may send from somebody else",
         raises="stopped by {who}",
     ),
     StateEvent.TRIPPED: Happening(

@@ -211,7 +211,7 @@ class Supervisor:
             self.fault = Latched(trouble.name, text, tick)
         self._said = text
         self.obstacles = [text]
-        if trouble.event is StateEvent.TRIPPED:
+        if trouble.event is StateEvent.TRIPPED or (latches and trouble.event is StateEvent.DRIVE_LOST):
             self._hear_out(trouble.text, statusword)
         self.apply(trouble.event, who=f"{'a fault' if latches else 'the loss of the drive'}: {trouble.name}")
 

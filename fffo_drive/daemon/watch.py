@@ -28,7 +28,7 @@ MEASURED_S = (
 )
 SILENT_S = 0.5  # without an answer to SYNC for this long, at rest, the drive counts as lost
 
-# trips after which the drive is lost, unreachable or under another master; these faults: bring it up again
+# trips after which the drive is lost, unreachable, or in somebody else's hands; these faults: bring it up again
 LOST_TRIPS = frozenset(
     {
         env.TRIP_BUS_OFF,
@@ -37,7 +37,8 @@ LOST_TRIPS = frozenset(
         env.TRIP_NOT_OPERATIONAL,
         env.TRIP_FEEDBACK_MISSING,
         env.TRIP_STATUS_MISSING,
-        env.TRIP_FOREIGN_SYNC,
+        env.TRIP_FOREIGN_COMMAND,
+        env.TRIP_SETTINGS_CHANGED,
     }
 )
 GONE = frozenset({"silent", "loop_stalled", *(env.TRIP_NAMES[trip] for trip in LOST_TRIPS)})

@@ -38,14 +38,16 @@ FEEDBACK = np.dtype(
         ("nmt_exits", "<i8"),  # heartbeats that report a state other than OPERATIONAL; a boot-up is counted separately
         # statistics of the exchange, counted since the port was made
         ("late_feedback", "<i8"),  # answers that came late or were duplicated: counted, never used
-        ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was outstanding
+        ("duplicate_feedback", "<i8"),  # of these: second answers to a SYNC when none was owed
         ("bad_frames", "<i8"),  # short, over-long, remote or extended frames: counted, never used
         ("error_frames", "<i8"),  # CAN error frames
         ("bus_off", "<i8"),  # 1 while the controller is off the bus or the interface is gone
         ("bus_losses", "<i8"),  # number of such losses
         ("send_errors", "<i8"),
         ("dropped_frames", "<i8"),  # frames that the socket's queue lost
-        ("foreign_syncs", "<i8"),  # SYNC frames that are not ours
+        ("foreign_frames", "<i8"),  # frames that only we may send, from somebody else
+        ("foreign_id", "<i8"),  # identifier of the first; before one, of the last second answer to a SYNC; -1: none
+        ("settings_changed", "<i8"),  # objects of the drive that lost the value they were given (by other threads)
     ]
 )
 
@@ -53,7 +55,7 @@ FEEDBACK = np.dtype(
 def new_feedback() -> np.ndarray[Any, np.dtype[np.void]]:
     """The port's memory: shape (1,), nothing received yet."""
     feedback = np.zeros(1, FEEDBACK)
-    for name in ("velocity_tick", "status_tick", "heartbeat_ns", "nmt_state"):
+    for name in ("velocity_tick", "status_tick", "heartbeat_ns", "nmt_state", "foreign_id"):
         feedback[name] = -1
     feedback["true_velocity_rps"] = np.nan
     feedback["true_friction_nm"] = np.nan
@@ -64,7 +66,7 @@ class ExchangeCounts(NamedTuple):
     """Counters of bus errors in the port, one for each row of the statistics."""
 
     late_feedback: int = 0  # answers that came late or were duplicated: never used
-    duplicate_feedback: int = 0  # of these: second answers to a SYNC when none was outstanding
+    duplicate_feedback: int = 0  # of these: second answers to a SYNC when none was owed
     bad_frames: int = 0  # short, over-long, remote or extended: never used
     error_frames: int = 0  # of the CAN controller
     bus_losses: int = 0  # bus-off, or an interface that went away
@@ -73,7 +75,7 @@ class ExchangeCounts(NamedTuple):
     emergency_count: int = 0  # EMCY messages with an error
     boot_count: int = 0  # the drive restarted
     nmt_exits: int = 0  # a heartbeat said that the drive left NMT operational
-    foreign_syncs: int = 0  # SYNC frames of another producer
+    foreign_frames: int = 0  # frames that only we may send, from somebody else
     warning_count: int = 0  # EMCY messages that only warn
 
     def since(self, before: ExchangeCounts) -> ExchangeCounts:
@@ -120,8 +122,11 @@ def port_command(port: Any, tick: int, controlword: int, current_a: float) -> fl
 
 
 @generic
-def port_housekeeping(port: Any, tick: int) -> int:
-    """The slot after the command: heartbeat when due, and at most one queued service (SDO) frame. Returns 0."""
+def port_housekeeping(port: Any, tick: int, tripped: bool) -> int:
+    """The slot after the command: heartbeat when due, or one queued service (SDO) frame. Returns 0.
+
+    `tripped`: a fault is latched; the torque is withdrawn by every way that the drive may hear, first of all.
+    """
     raise NotImplementedError
 
 

@@ -52,7 +52,7 @@ class TickStatistics(NamedTuple):
     emergency_count: int
     boot_count: int
     nmt_exits: int
-    foreign_syncs: int
+    foreign_frames: int
     warning_count: int
     lateness_us_p50: float
     lateness_us_p99: float

@@ -19,7 +19,7 @@ from ..control.controller import CONTROLLER_BLOCK_SIZE
 from ..control.envelope import (
     TRIP_BUS_OFF,
     TRIP_EMERGENCY,
-    TRIP_FOREIGN_SYNC,
+    TRIP_FOREIGN_COMMAND,
     TRIP_NOT_OPERATIONAL,
     TRIP_REBOOT,
     TRIP_TEXTS,
@@ -41,7 +41,7 @@ from ..runtime.records import (
 from ..runtime.tick import (
     FLAG_BUS_OFF,
     FLAG_EMERGENCY,
-    FLAG_FOREIGN_SYNC,
+    FLAG_FOREIGN_COMMAND,
     FLAG_LOOP_BEGAN,
     FLAG_NOT_OPERATIONAL,
     FLAG_REBOOT,
@@ -55,7 +55,7 @@ FLAG_OF_TRIP = {
     TRIP_REBOOT: FLAG_REBOOT,
     TRIP_NOT_OPERATIONAL: FLAG_NOT_OPERATIONAL,
     TRIP_BUS_OFF: FLAG_BUS_OFF,
-    TRIP_FOREIGN_SYNC: FLAG_FOREIGN_SYNC,
+    TRIP_FOREIGN_COMMAND: FLAG_FOREIGN_COMMAND,
 }
 LIMITED = COMMANDS.index("limited_a")
 TRIP = WORDS.index("trip")
@@ -175,10 +175,8 @@ def as_current(rows: Rows) -> Rows:
     missing = set(ROW.names or ()) - set(rows.dtype.names or ())
     if "row_number" in missing:
         made["row_number"] = np.arange(rows.size)
-    if "heartbeat_age_ns" in missing:
-        made["heartbeat_age_ns"] = -1
-    if "set_point_sample" in missing:
-        made["set_point_sample"] = -1
+    for name in missing & {"heartbeat_age_ns", "set_point_sample", "foreign_id"}:
+        made[name] = -1
     if "i2t_a2s" in missing:
         made["i2t_a2s"] = np.nan
     if "goal" in missing:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..control.adaptation import bounds_reached
-from ..control.envelope import EnvelopeConfig
+from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.reference import MODE_IDLE
 from ..control.set_point import no_motion
 from ..control.velocity_estimator import keep_command
@@ -133,7 +133,7 @@ def run_loop(
         memory = with_learned(memory, learned)
         head += 1
         publish_tick(ring, head, status, timing, row)
-        port_housekeeping(port, timing.tick)
+        port_housekeeping(port, timing.tick, guard.trip != TRIP_NONE)
         if memory_is_asked_for(blocks):
             give_memory(blocks, head, LoopMemory(memory, guard.envelope, live))
 

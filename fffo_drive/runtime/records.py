@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import Floats
 from ..control.compensation import effect_names, table_numbers, table_of
 from ..control.controller import CONTROLLER_NAMES
-from ..control.envelope import EnvelopeConfig
+from ..control.envelope import EnvelopeConfig, default_reactions
 from ..control.reference import Profile
 from ..control.set_point import SET_POINT_NAMES, SetPoint
 from ..recording.run_records import RecordKind, RunRecord
@@ -186,8 +186,11 @@ def envelope_of(record: RunRecord) -> EnvelopeConfig:
         if f"envelope.{name}" not in values:
             raise ValueError(f"the record of the session has no envelope.{name}")
         fields[name] = _as_declared(kind, values[f"envelope.{name}"])
-    reactions = [int(value) for name, value in values.items() if name.startswith(REACTION)]
-    return EnvelopeConfig(**fields, reactions=np.array(reactions, np.int64))
+    reactions = default_reactions()  # an older record has fewer trips
+    for name, value in values.items():
+        if name.startswith(REACTION):
+            reactions[int(name.removeprefix(REACTION))] = int(value)
+    return EnvelopeConfig(**fields, reactions=reactions)
 
 
 def period_s_of(record: RunRecord) -> float:

@@ -94,6 +94,7 @@ def write_row(
     row["current_a"] = feedback["current_a"]
     row["true_velocity_rps"] = feedback["true_velocity_rps"]
     row["true_friction_nm"] = feedback["true_friction_nm"]
+    row["foreign_id"] = feedback["foreign_id"]
     row["flags"] = flags
     return row
 

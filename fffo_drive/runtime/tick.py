@@ -71,11 +71,12 @@ FLAG_EMERGENCY = 2  # the drive sent an EMCY since the loop began or a fault was
 FLAG_REBOOT = 4  # ... a boot-up message
 FLAG_NOT_OPERATIONAL = 8  # ... a heartbeat that says that it is not in NMT state OPERATIONAL
 FLAG_BUS_OFF = 16  # ... the CAN controller was off the bus, or the interface gone
-FLAG_FOREIGN_SYNC = 32  # ... a SYNC of another producer
+FLAG_FOREIGN_COMMAND = 32  # ... a frame that only we may send came from somebody else
 FLAG_LOCAL_CONTROL = 64  # statusword bit 9 is 0 where the drive serves it: it ignores the controlword
 FLAG_IGNORES_TARGET = 128  # statusword bit 12 is 0 where the drive serves it, though the axis is commanded
 FLAG_ESTIMATED_VELOCITY = 256  # the error used the estimated velocity, not the drive's
 FLAG_ADAPTS = 512  # offset and Coulomb friction are learned in this tick
+FLAG_SETTINGS_CHANGED = 1024  # ... an object of the drive no longer had the value that it was given
 
 
 class LoopConfig(NamedTuple):
@@ -133,7 +134,8 @@ class Baseline(NamedTuple):
     boots: int
     bus_losses: int
     nmt_exits: int
-    foreign_syncs: int
+    foreign_frames: int
+    settings_changes: int
 
 
 @njit
@@ -144,7 +146,8 @@ def baseline_of(feedback: Any) -> Baseline:
         feedback["boot_count"],
         feedback["bus_losses"],
         feedback["nmt_exits"],
-        feedback["foreign_syncs"],
+        feedback["foreign_frames"],
+        feedback["settings_changed"],
     )
 
 
@@ -404,8 +407,9 @@ def look(
         or feedback["nmt_exits"] != baseline.nmt_exits,
         # even a short loss counts: any frame after its report clears it before it is checked
         feedback["bus_off"] != 0 or feedback["bus_losses"] != baseline.bus_losses,
-        feedback["foreign_syncs"] - baseline.foreign_syncs,
+        feedback["foreign_frames"] - baseline.foreign_frames,
         heartbeat_age_ns,
+        feedback["settings_changed"] - baseline.settings_changes,
         wanted,
         enabled,
         law.mode == MODE_VELOCITY,
@@ -427,7 +431,8 @@ def flags_of(seen: EnvelopeInputs, loop_began: bool, estimated: bool, adapts: bo
     flags |= FLAG_BUS_OFF if seen.bus_off else 0
     flags |= FLAG_LOCAL_CONTROL if seen.local_control else 0
     flags |= FLAG_IGNORES_TARGET if seen.ignores_target else 0
-    return flags | (FLAG_FOREIGN_SYNC if seen.foreign_syncs > 0 else 0)
+    flags |= FLAG_SETTINGS_CHANGED if seen.settings_changes > 0 else 0
+    return flags | (FLAG_FOREIGN_COMMAND if seen.foreign_frames > 0 else 0)
 
 
 @njit(inline="always")

@@ -232,7 +232,15 @@ def reported(day: Day) -> dict[str, object]:
         "profile_shift": len(np.unique((rows["tick"].astype(int) - rows["profile_sample"])[BEGIN - 50 :])) - 1,
         "drive_state": world.node.drive.state,
         "rows": hashlib.sha256(rows.tobytes()).hexdigest(),
+        "rows_without_sender": hashlib.sha256(_without_sender(rows).tobytes()).hexdigest(),
     }
+
+
+def _without_sender(rows: np.ndarray) -> np.ndarray:
+    """The same rows, as if nobody else had sent anything."""
+    same = rows.copy()
+    same["foreign_id"] = -1
+    return same
 
 
 def run_all() -> list[dict[str, object]]:

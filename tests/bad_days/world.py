@@ -241,8 +241,8 @@ def command(port, tick, controlword, current_a):
 
 
 @port_housekeeping.register(WorldPort)
-def housekeeping(port, tick):
-    HOUSEKEEPING_KERNEL(port.inner, tick)
+def housekeeping(port, tick, tripped):
+    HOUSEKEEPING_KERNEL(port.inner, tick, tripped)
     port.world.take()
     return 0
 

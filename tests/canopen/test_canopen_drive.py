@@ -58,14 +58,14 @@ class Ticking:
             port_sync(self.port, self.ticks)
             port_receive(self.port, self.ticks, port_now_ns(self.port) + CUTOFF_NS)
             port_command(self.port, self.ticks, 0x0006, 0.0)
-            port_housekeeping(self.port, self.ticks)
+            port_housekeeping(self.port, self.ticks, False)
             self.ticks += 1
 
     def __enter__(self):
         port_sync(self.port, 0)  # compiled, and seen, before the thread begins
         port_receive(self.port, 0, 0)
         port_command(self.port, 0, 0, 0.0)
-        port_housekeeping(self.port, 0)
+        port_housekeeping(self.port, 0, False)
         self._thread.start()
         return self
 

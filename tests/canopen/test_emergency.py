@@ -73,7 +73,7 @@ def test_a_drive_says_its_last_emergency_its_error_code_and_its_state(config):  
         said = drive.fault_words()
     assert said == (
         "EMCY 0x7305 (incremental sensor 1), error register 0x81 (generic, manufacturer), vendor bytes 61 62 63 64 65; "
-        "0x603F 0x7305 (incremental sensor 1)"
+        "0x603F 0x7305 (incremental sensor 1); statusword 0x0218: fault"
     )
 
 
@@ -96,6 +96,7 @@ def test_everything_that_the_drive_has_is_reported_and_a_drive_that_has_nothing_
     objects = servo_dictionary(NODE) | {
         (0x1003, 0): b"\x04", (0x1003, 1): struct.pack("<I", 0x00127305), (0x1003, 2): struct.pack("<I", 0x3220),
         (0x1003, 3): struct.pack("<I", 0x8611), (0x1003, 4): struct.pack("<I", 0x2310), (0x603F, 0): bytes(2),
+        (0x6041, 0): struct.pack("<H", 0x0050),
         (0x60FD, 0): struct.pack("<I", 0x8), (0x6079, 0): struct.pack("<I", 24_130),
     }  # fmt: skip
     drive = CanopenDrive(config)
@@ -103,15 +104,36 @@ def test_everything_that_the_drive_has_is_reported_and_a_drive_that_has_nothing_
         assert drive.fault_words(0x0250) == (
             "0x603F says no error; "
             "0x1003, newest first: 0x7305 (incremental sensor 1) with 0x0012, 0x3220 (DC link under-voltage), "
-            "0x8611 (following error); statusword 0x0250: switch on disabled; "
+            "0x8611 (following error); statusword 0x0050: switch on disabled; "
+            "bit 9 is 0: the drive is in local control and ignores our controlword; "
+            "last statusword received 0x0250: switch on disabled; "
             "0x60FD 0x00000008 (interlock (STO, enable)); DC link 24.1 V (0x6079)"
         )
-        assert drive.fault_words(0x0250, ask=False) == "statusword 0x0250: switch on disabled"
+        assert drive.fault_words(0x0250, ask=False) == "last statusword received 0x0250: switch on disabled"
         drive.port.feedback["statusword"], drive.port.feedback["status_tick"] = 0x0218, 3
-        assert drive.fault_words(ask=False) == "statusword 0x0218: fault"
-    with ScriptedNode(config.bus, NODE), drive:
+        assert drive.fault_words(ask=False) == "last statusword received 0x0218: fault"
+    with ScriptedNode(config.bus, NODE) as node, drive:
+        del node.objects[0x6041, 0]
         assert drive.fault_words() == ""
+        assert drive.fault_words(0x0250) == "last statusword received 0x0250: switch on disabled"
+
+
+def test_what_the_drive_says_now_comes_before_what_was_received_last(config):  # noqa: F811
+    """A drive that left operational sends no statusword any more: the last one is not its state."""
+    drive = CanopenDrive(config)
+    with ScriptedNode(config.bus, NODE) as node, drive:
+        node.objects[0x6041, 0] = struct.pack("<H", 0x0250)
         assert drive.fault_words(0x0250) == "statusword 0x0250: switch on disabled"
+        node.send(0x700 + NODE, b"\x7f")  # its next heartbeat
+        assert drive.fault_words(0x1237) == (
+            "NMT state pre-operational (its heartbeat); statusword 0x0250: switch on disabled; "
+            "last statusword received 0x1237: operation enabled"
+        )
+        assert drive.warnings() == ["the drive's heartbeat says: pre-operational"]
+        assert drive.warnings() == []
+        node.mute = True
+        assert drive.fault_words(0x1237).endswith("; last statusword received 0x1237: operation enabled")
+        node.mute = False
 
 
 def at(seconds, code, register=0x01, vendor=bytes(5)):

@@ -31,6 +31,7 @@ from fffo_drive.jit import njit
 NODE = 5
 LENGTHS = {0x185: 8, 0x285: 4, 0x385: 2}  # of its TPDOs
 OWN_IDS = [*LENGTHS, 0x085, 0x705]
+OF_MASTERS = [0x000, SYNC, 0x205, 0x305, 0x405, 0x505, 0x605, 0x77F]
 
 
 class Ends(NamedTuple):
@@ -67,17 +68,18 @@ def malformed_frames_are_counted_and_change_nothing(count: int) -> None:
     port = new_port()
     feed(port, bytes_of(np.array([pack_frame(0x185, bytes(8)), pack_frame(0x285, bytes(4))]).view(np.uint8)))
     before = port.feedback.copy()
-    bad = syncs = 0
+    bad = 0
+    ours: list[int] = []
     for frames in malformed(5, count, OWN_IDS):
         feed(port, bytes_of(frames))
         word = frames["word"]
         addressed = np.isin(word & EXTENDED_MASK, OWN_IDS) & (word & ERROR_FLAG == 0)
         bad += int(addressed.sum())
-        syncs += int((word == SYNC).sum())
+        ours += word[np.isin(word, OF_MASTERS)].tolist()
     assert bad > count // 3
     assert port.feedback[0]["bad_frames"] == bad
-    assert syncs > 0
-    before["bad_frames"], before["foreign_syncs"] = bad, syncs
+    assert ours
+    before["bad_frames"], before["foreign_frames"], before["foreign_id"] = bad, len(ours), ours[0]
     assert port.feedback.tobytes() == before.tobytes()
 
 

@@ -18,9 +18,9 @@ from fffo_drive.can.lease import LONGEST_COMMAND, BusHeldError, BusLease, bus_ho
 from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
-from fffo_drive.drive.canopen.listening import Heard, Listening
+from fffo_drive.drive.canopen.listening import Heard, Listening, masters_frames
 from fffo_drive.drive.canopen.object_map import command_pdo
-from fffo_drive.drive.port import BusOccupiedError, port_sync
+from fffo_drive.drive.port import BusOccupiedError, port_command, port_sync
 
 NODE, MASTER = 5, 127
 CONFIG = CanopenDriveConfig(
@@ -58,8 +58,8 @@ def obstacles(script, config=CONFIG):
         ("605#4000100000000000", "SDO requests to node 5 (0x605)"),
         ("205#0F000000", "commands to node 5 (RPDO 0x205)"),
         ("505#00", "commands to node 5 (RPDO 0x505)"),
-        ("77F#05", "the heartbeat of node 127, which is ours (drive.master_id)"),
-        ("77F#00", "the heartbeat of node 127, which is ours (drive.master_id)"),
+        ("77F#05", "the heartbeat of node 127 (0x77F), which is ours (drive.master_id)"),
+        ("77F#00", "the heartbeat of node 127 (0x77F), which is ours (drive.master_id)"),
     ],
 )
 def test_each_sign_of_another_master_is_named(script, sign):
@@ -227,14 +227,23 @@ def test_the_lease_is_of_one_bus_and_ends_with_its_process():
     assert bus_holder(bus) is None
 
 
-def test_a_running_port_counts_the_syncs_of_others_and_never_its_own(config):
+def test_a_running_port_counts_what_others_send_in_our_name_and_never_our_own(config):
+    """Neither its own frames, nor what the service has sent on its link since the port's was opened."""
     with ScriptedNode(config.bus, NODE), CanopenDrive(config) as drive, open_link(config.bus) as other:
         for tick in range(5):
             port_sync(drive.port, tick)
-        assert drive.feedback["foreign_syncs"][0] == 0
-        for raw in (pack_frame(0x080), pack_frame(0x080, b"\x01"), pack_frame(0x080, remote=True), pack_frame(0x081)):
+            port_command(drive.port, tick, 0, 0.0)
+            drive.read_object(0x1000, 0)
+        port_sync(drive.port, 5)
+        assert drive.feedback["foreign_frames"][0] == 0
+        for raw in (pack_frame(0x080), pack_frame(0x080, b"\x01"), pack_frame(0x080, remote=True), pack_frame(0x08F)):
             other.send(raw)
         other.send(pack_frame(0x080, extended=True))
-        port_sync(drive.port, 5)
         port_sync(drive.port, 6)
-        assert drive.feedback["foreign_syncs"][0] == 2
+        port_sync(drive.port, 7)
+        assert drive.feedback["foreign_frames"][0] == 2
+        for can_id in masters_frames(config):
+            other.send(pack_frame(can_id, bytes(8)))
+        port_sync(drive.port, 8)
+        assert drive.feedback["foreign_frames"][0] == 2 + len(masters_frames(config))
+        assert "SYNC (0x080) from somebody else" in drive.fault_words(ask=False)

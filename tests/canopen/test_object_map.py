@@ -19,8 +19,8 @@ from fffo_drive.drive.canopen.object_map import (
     feedback_pdos,
     field_table,
     interpolation_period,
-    pdo_table,
 )
+from fffo_drive.drive.canopen.port_memory import ANSWERS_SYNC, OF_DRIVE, OF_LOOP, OF_SERVICE, known_identifiers
 
 CONFIG = CanopenDriveConfig(
     bus="loopback:20000",
@@ -50,7 +50,13 @@ def test_the_mapping_of_the_house():
 
 
 def test_tables_for_the_loop():
-    assert pdo_table(CONFIG.answers).tolist() == [[0x185, 8, 1], [0x285, 4, 0], [0x385, 2, 0]]
+    known = known_identifiers(CONFIG)
+    assert known[:3].tolist() == [[0x185, 8, ANSWERS_SYNC], [0x285, 4, OF_DRIVE], [0x385, 2, OF_DRIVE]]
+    ours = {0x080: OF_LOOP, 0x000: OF_SERVICE, 0x605: OF_SERVICE, 0x77F: OF_LOOP}
+    ours |= dict.fromkeys((0x205, 0x305, 0x405, 0x505), OF_LOOP)
+    assert {int(word): int(kind) for word, _, kind in known[3:]} == ours
+    guarded = known_identifiers(changed(silence_detection="life_guarding"))
+    assert guarded[-1].tolist() == [0x4000_0705, 0, OF_SERVICE]
     assert field_table(CONFIG.answers).tolist() == [
         [0, 0, 4, 1, FIELD_VELOCITY],
         [0, 4, 4, 1, FIELD_POSITION],
@@ -58,7 +64,7 @@ def test_tables_for_the_loop():
         [1, 2, 2, 1, FIELD_TORQUE],
         [2, 0, 2, 0, FIELD_STATUSWORD],
     ]
-    assert pdo_table(CONFIG.answers).dtype == field_table(CONFIG.answers).dtype == np.int64
+    assert known.dtype == field_table(CONFIG.answers).dtype == np.int64
     assert command_payload(CONFIG.command) == bytes(4)
 
 

@@ -12,7 +12,7 @@ from fffo_drive.can.link import free_loopback_port, open_link
 from fffo_drive.drive.canopen.config import CanopenDriveConfig
 from fffo_drive.drive.canopen.drive import CanopenDrive
 from fffo_drive.drive.canopen.object_map import MappedObject, PdoSlots
-from fffo_drive.drive.canopen.port_memory import NO_LINK, make_port
+from fffo_drive.drive.canopen.port_memory import HEARTBEAT_FRAME, NO_LINK, make_port
 from fffo_drive.drive.canopen.service_queue import ServiceQueue
 from fffo_drive.drive.canopen.silence import life_factor
 from fffo_drive.drive.port import DriveRefusedError, port_command, port_housekeeping, port_now_ns, port_sync
@@ -72,7 +72,7 @@ def test_life_guarding_stands_in_for_the_heartbeat(config):
             factors = [int.from_bytes(value, "little") for index, _, value in node.written if index == 0x100D]
             assert factors == [0, 4]  # only once it is operational: the loop asks from then on
             port = drive.port
-            question = unpack_frame(bytes(port.heartbeat_frame))
+            question = unpack_frame(bytes(port.frames[HEARTBEAT_FRAME]))
             assert (question.can_id, question.remote, len(question.data)) == (0x705, True, 1)
         assert node.number(0x100D) == 0  # leaving in order is no fault
     assert life_factor(config) == 4
@@ -82,7 +82,7 @@ def test_the_loop_asks_in_place_of_its_heartbeat(config):
     config = dataclasses.replace(config, silence_detection="life_guarding")
     with open_link(config.bus) as ours, open_link(config.bus) as other:
         port = make_port(config, ours, ServiceQueue(0).memory)
-        port_housekeeping(port, 0)
+        port_housekeeping(port, 0, False)
         frame = unpack_frame(other.receive(1.0))
     assert (frame.can_id, frame.remote) == (0x700 + NODE, True)
 

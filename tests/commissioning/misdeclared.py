@@ -89,7 +89,7 @@ def command(port, tick, controlword, current_a):
 
 @port_housekeeping.register(MisdeclaredPort)
 @njit
-def housekeeping(port, tick):
+def housekeeping(port, tick, tripped):
     return 0
 
 

@@ -125,6 +125,12 @@ def test_a_reaction_reaches_the_kernel(tmp_path):
     assert envelope_config(axis).reactions[env.TRIP_BUS_OFF] == env.REACTION_QUICK_STOP
 
 
+def test_a_reaction_under_the_former_name_of_its_trip_counts_in_a_file_of_that_time(tmp_path):
+    older = AXIS.replace("fffo_drive/axis/2", "fffo_drive/axis/1")
+    axis = read_axis(write(tmp_path, older.replace("envelope:\n", "envelope:\n  reactions: {foreign_sync: coast}\n")))
+    assert envelope_config(axis).reactions[env.TRIP_FOREIGN_COMMAND] == env.REACTION_COAST
+
+
 def test_an_observer_gain_that_breaks_condition_14_is_refused_with_the_needed_one(tmp_path):
     axis = read_axis(
         write(tmp_path, AXIS.replace("gain_nm_per_rev: 5 ", "gain_nm_per_rev: 3\n    learns_in: friction "))

@@ -70,6 +70,7 @@ def gained_by_an_axis_in_free_flight(axis: AxisFile) -> tuple[float, int]:
             False,
             0,
             -1,
+            0,
             trip == TRIP_NONE,
             True,
             False,

@@ -18,7 +18,7 @@ PERIOD_S = 2.0**-11
 STEP_A = 2.0  # slew in a period
 CAPACITY_A2S = 150.0  # (10^2 - 5^2) 2 s
 UNHEEDED_S = 0.125  # a drive may set statusword bits 9 and 12 so much later than the state
-REACTIONS = np.zeros(18, dtype=np.int64)
+REACTIONS = np.zeros(19, dtype=np.int64)
 CONFIG = env.EnvelopeConfig(
     current_limit_a=10.0, slew_a_per_s=4096.0, speed_limit_rps=20.0, continuous_current_a=5.0, i2t_time_s=2.0,
     i2t_trips=True, position_low_rev=-3.0, position_high_rev=5.0, following_error_rps=2.0, following_error_s=2.0**-7,
@@ -28,8 +28,8 @@ CONFIG = env.EnvelopeConfig(
 REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False, unheeded_s=0.0)
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
-    statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_syncs=0,
-    heartbeat_age_ns=0, wanted=True, enabled=True, closed_loop=True, local_control=False,
+    statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_frames=0,
+    heartbeat_age_ns=0, settings_changes=0, wanted=True, enabled=True, closed_loop=True, local_control=False,
     ignores_target=False, skipped_ticks=0,
 )  # fmt: skip
 
@@ -37,12 +37,13 @@ HEALTHY = env.EnvelopeInputs(
 CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     # trip, what is seen, what is remembered
     (10, {"bus_off": True}, {}),
-    (15, {"foreign_syncs": 1}, {}),
+    (15, {"foreign_frames": 1}, {}),
     (12, {"reboots": 1}, {}),
     (9, {"emergencies": 1}, {}),
     (8, {"statusword": 0x0218}, {}),
     (14, {"not_operational": True}, {}),
     (11, {"heartbeat_age_ns": 500_000_001}, {}),
+    (18, {"settings_changes": 1}, {}),
     (13, {"enabled": False}, {"was_enabled": True}),
     (1, {"requested_a": math.nan}, {}),
     (6, {"feedback_age": 10}, {}),
@@ -54,7 +55,7 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (4, {"error_rps": 2.5}, {"following_s": 2.0**-7}),
     (5, {}, {"i2t_a2s": 151.0}),
 )
-WITHOUT_TORQUE = (10, 15, 12, 9, 8, 14, 11)  # also where no torque is wanted
+WITHOUT_TORQUE = (10, 15, 12, 9, 8, 14, 11, 18)  # also where no torque is wanted
 
 
 def expected_trip(
@@ -65,12 +66,13 @@ def expected_trip(
     heard = config.heartbeat_timeout_ns == 0 or seen.heartbeat_age_ns in range(-1, config.heartbeat_timeout_ns + 1)
     allowed = {
         10: not seen.bus_off,
-        15: seen.foreign_syncs == 0,
+        15: seen.foreign_frames == 0,
         12: seen.reboots == 0,
         9: seen.emergencies == 0,
         8: (seen.statusword // 8) % 2 == 0,
         14: not seen.not_operational,
         11: heard,
+        18: seen.settings_changes == 0,
         13: seen.enabled or not was_enabled,
         1: all(-math.inf < number < math.inf for number in numbers),
         6: seen.feedback_age in range(config.feedback_missing_ticks),

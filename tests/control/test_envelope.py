@@ -14,7 +14,7 @@ CONFIG = env.EnvelopeConfig(
     10.0, 4000.0, 20.0, 5.0, 2.0, True, -3.0, 3.0, 2.0, 0.01, 10, 100, 500_000_000, PERIOD_S, env.default_reactions()
 )
 HEALTHY = env.EnvelopeInputs(
-    1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, True, True, True, False, False, 0
+    1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, 0, True, True, True, False, False, 0
 )
 
 
@@ -67,8 +67,9 @@ def test_slew_limits_the_step_both_ways():
         ({"reboots": 1}, env.TRIP_REBOOT),
         ({"not_operational": True}, env.TRIP_NOT_OPERATIONAL),
         ({"bus_off": True}, env.TRIP_BUS_OFF),
-        ({"foreign_syncs": 1}, env.TRIP_FOREIGN_SYNC),
+        ({"foreign_frames": 1}, env.TRIP_FOREIGN_COMMAND),
         ({"heartbeat_age_ns": 500_000_001}, env.TRIP_HEARTBEAT),
+        ({"settings_changes": 1}, env.TRIP_SETTINGS_CHANGED),
     ],
 )
 def test_each_trip_gives_no_torque(changes, trip):

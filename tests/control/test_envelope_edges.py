@@ -52,9 +52,9 @@ def test_numbers_in_recordings_never_change():
     names = (
         "NONE", "NOT_A_NUMBER", "OVERSPEED", "POSITION_WINDOW", "FOLLOWING_ERROR", "I2T", "FEEDBACK_MISSING",
         "STATUS_MISSING", "DRIVE_FAULT", "EMERGENCY", "BUS_OFF", "HEARTBEAT", "REBOOT", "DRIVE_LEFT",
-        "NOT_OPERATIONAL", "FOREIGN_SYNC", "LOCAL_CONTROL", "NOT_FOLLOWING", "COUNT",
+        "NOT_OPERATIONAL", "FOREIGN_COMMAND", "LOCAL_CONTROL", "NOT_FOLLOWING", "SETTINGS_CHANGED", "COUNT",
     )  # fmt: skip
-    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(19))
+    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(20))
     limits = ("CONTROLLER", "CURRENT", "SLEW", "I2T", "DRIVE")
     assert [getattr(env, f"LIMIT_{name}") for name in limits] == [1, 2, 4, 8, 16]
     assert (env.REACTION_COAST, env.REACTION_QUICK_STOP) == (0, 1)
@@ -65,7 +65,7 @@ def test_default_reactions():
     coast = {12}  # a drive that has restarted has no torque to brake with
     found = env.default_reactions()
     assert found.dtype == np.int64
-    assert found.tolist() == [0 if trip in coast else 1 for trip in range(18)]
+    assert found.tolist() == [0 if trip in coast else 1 for trip in range(19)]
 
 
 def test_memory_at_rest_and_after_a_reset():
@@ -92,7 +92,8 @@ def mixtures(count: int, seed: int):
         "position_rev": [0.0, *around(-3.0, 1), *around(5.0, 1)], "error_rps": [0.0, *around(2.0, 1), *around(-2.0, 1)],
         "feedback_age": [0, 1, 9, 10, 11], "status_age": [0, 1, 99, 100, 101], "statusword": [0x0637, 0x0E37, 0x0218],
         "emergencies": [0, 0, 0, 1], "reboots": [0, 0, 0, 1], "bus_off": [False, False, False, True],
-        "foreign_syncs": [0, 0, 0, 1], "not_operational": [False, False, False, True],
+        "foreign_frames": [0, 0, 0, 1], "settings_changes": [0, 0, 0, 1],
+        "not_operational": [False, False, False, True],
         "heartbeat_age_ns": [-1, 0, 499_999_999, 500_000_000, 500_000_001], "wanted": [True, True, False],
         "enabled": [True, True, False], "closed_loop": [True, False],
         "local_control": [False, False, True], "ignores_target": [False, False, True], "skipped_ticks": [0, 0, 1, 5],
@@ -150,7 +151,8 @@ def test_the_edges_stand_where_the_configuration_has_them():
         ("status_age", range(0, 400), 100),
         ("emergencies", range(0, 5), 1),
         ("reboots", range(0, 5), 1),
-        ("foreign_syncs", range(0, 5), 1),
+        ("foreign_frames", range(0, 5), 1),
+        ("settings_changes", range(0, 5), 1),
         ("heartbeat_age_ns", [-1, 0, 1, *range(499_999_990, 500_000_010), 10**15], 500_000_001),
         ("bus_off", [False, True], True),
         ("not_operational", [False, True], True),

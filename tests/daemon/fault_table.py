@@ -44,6 +44,7 @@ def stops(name: str, what: str, by: str, how: str, torque_ms: float, script: str
     return Row(name, what, by, how, torque_ms, torque_ms + longest, script or name)
 
 
+FOREIGN = "the envelope: a frame that only we may send"
 SILENT = "the drive: no command for command_timeout_ms (0x1400:5)"
 BY_DRIVE = f"{QUICK} by the drive (0x6007)"
 LATCHED = f"{QUICK}, fault latched"
@@ -61,7 +62,8 @@ ROWS: tuple[Row, ...] = (
           6),
     stops("statusword_missing", "the statusword (TPDO2) is missing", "the envelope: status_missing_ticks", LATCHED, 51),
     stops("sync_missing", "SYNC does not reach the drive",
-          "the envelope: no answers; the drive: SYNC missing (0x2010)", LATCHED, 51),
+          "the envelope: no answers; later the drive: SYNC missing (0x2010)",
+          f"{QUICK} by SDO (no RPDO acts without SYNC), fault latched", 7),
     stops("commands_missing", "commands (RPDO) do not reach the drive", SILENT, f"{BY_DRIVE}; fault latched", 21),
     stops("our_heartbeat_lost", "our heartbeat does not reach the drive",
           "the drive: heartbeat_timeout_ms (0x1016)", f"{BY_DRIVE}; fault latched", 151),
@@ -77,6 +79,14 @@ ROWS: tuple[Row, ...] = (
     stops("not_following", "the drive does not follow 0x6071 (statusword bits 11 and 12 are 0)",
           "the envelope: bit 12 for 125 ms", LATCHED, 127),
     stops("drive_rebooted", "the drive restarts", "the envelope: boot-up message", RELEASED, 1),
+    stops("keeps_torque_pre_operational",
+          "the drive goes to NMT pre-operational, where it hears no RPDO, and keeps its torque",
+          "the envelope: heartbeat, or feedback_missing_ticks", f"{QUICK} by SDO, fault latched", 7),
+    stops("keeps_torque_stopped", "the drive goes to NMT stopped, where it hears NMT alone, and keeps its torque",
+          "the envelope: heartbeat, or feedback_missing_ticks",
+          f"{QUICK}: put into pre-operational, then by SDO; fault latched", 8),
+    stops("keeps_torque_silent", "as before, and its heartbeat does not say so in time",
+          "the envelope: feedback_missing_ticks", f"{QUICK}: put into pre-operational, then by SDO; fault latched", 8),
     stops("drive_not_operational", "somebody puts the drive into NMT stopped or pre-operational",
           "the drive; the envelope: heartbeat, or feedback_missing_ticks", f"{BY_DRIVE}; fault latched", 1),
     stops("supply_lost", "the DC link loses its supply", "the drive: undervoltage; the envelope by EMCY", RELEASED, 12),
@@ -86,7 +96,20 @@ ROWS: tuple[Row, ...] = (
           f"{BY_DRIVE}; nothing is sent, fault latched", 21),
     stops("interface_gone", "the interface is down or gone", f"the envelope: errno of send; {SILENT}",
           f"{BY_DRIVE}; fault latched", 21),
-    stops("foreign_sync", "another master sends SYNC", "the envelope: a SYNC that is not ours", LATCHED, 2),
+    stops("foreign_sync", "another master sends SYNC", FOREIGN, LATCHED, 2),
+    stops("foreign_command", "somebody else commands torque by our RPDO, behind each of ours", FOREIGN,
+          f"{QUICK}, by SDO beside the RPDO; fault latched", 2),
+    stops("foreign_master", "somebody else enables the drive again and again by our RPDO", FOREIGN,
+          f"{QUICK}; enabled again, the drive is put into pre-operational, where it hears no RPDO; fault latched", 20),
+    stops("foreign_feedback", "somebody else sends the drive's feedback (TPDO1) as well, at our rate",
+          "the loop: more second answers to SYNC than one in 100", LATCHED, 8),
+    stops("foreign_heartbeat", "somebody else sends our heartbeat", FOREIGN, LATCHED, 2),
+    stops("foreign_nmt", "somebody else stops the drive by NMT, and it keeps its torque", FOREIGN,
+          f"{QUICK}: put into pre-operational, then by SDO; fault latched", 4),
+    stops("foreign_sdo", "somebody else writes 0x6060 by SDO", FOREIGN, LATCHED, 2),
+    Row("settings_changed", "0x1016, the mode or a mapping of the drive is changed behind our back",
+        "the service: everything that bring-up wrote is read again, an object every 0.1 s",
+        f"{QUICK}, fault latched; the next start writes it again"),
     stops("following_error", "velocity error beyond following_error_rps for following_error_s", "the envelope", LATCHED,
           1),
     stops("overspeed", "velocity beyond speed_limit_rps", "the envelope", LATCHED, 1),

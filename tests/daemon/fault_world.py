@@ -8,19 +8,35 @@ The drive's own braking current is not ours.
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bad_days.loop_days import ENETDOWN, put_into
-from bad_days.world import HEARTBEAT, NS_PER_MS, PERIOD_NS, RPDO1, SYNC, TPDO1, TPDO2, Wire, World, live, ramp_to
+from bad_days.world import (
+    HEARTBEAT,
+    NODE,
+    NS_PER_MS,
+    PERIOD_NS,
+    RPDO1,
+    SYNC,
+    TPDO1,
+    TPDO2,
+    Wire,
+    World,
+    live,
+    ramp_to,
+)  # fmt: skip
 from daemon.fault_table import PARTS
 
-from fffo_drive.can.frame import ERROR_BUS_OFF, Frame, pack_frame
+from fffo_drive.can.frame import ERROR_BUS_OFF, NMT, Frame, pack_frame
+from fffo_drive.canopen_node.nmt import NmtState
 from fffo_drive.control.envelope import EnvelopeConfig
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED, STATE_NAMES
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
+from fffo_drive.drive.simulated.node.personality import Personality
 from fffo_drive.drive.simulated.node.simulated_plant import SimulatedPlant
 from fffo_drive.runtime import blocks as b
 
@@ -36,13 +52,13 @@ OUR_HEARTBEAT = 0x700 + 127
 class FaultWorld(World):
     """A world that looks at the drive every half millisecond of its clock."""
 
-    def __init__(self) -> None:
+    def __init__(self, keeps_torque: bool = False) -> None:
         self.began_ns = 0
         self.ours_ns = 0  # when torque of ours acted last
         self.moving_ns = 0  # when the shaft moved last
         self.fastest_rps = 0.0
         self.answers: list[int] = []  # error codes of the drive's EMCY, after the fault began
-        config = NodeConfig(sync_loss_tolerance_ms=50)
+        config = NodeConfig(sync_loss_tolerance_ms=50, personality=Personality(keeps_torque=keeps_torque))
         super().__init__(SimulatedPlant(config.plant), config)
         deliver = self.to_host
 
@@ -92,6 +108,7 @@ class Script(NamedTuple):
     envelope: Envelope = lambda config: config
     ticks: int = TICKS
     supervisor_ticks: int = 0
+    keeps_torque: bool = False  # the drive, when it leaves NMT operational
 
     @property
     def ending(self) -> dict[str, int]:
@@ -167,16 +184,31 @@ def drive_put_into(command: int) -> Prepare:
     return prepare
 
 
-def foreign_sync(world: FaultWorld) -> None:
-    """Another master sends SYNC at our rate, in the middle between ours; drive and host hear it."""
-    raw = pack_frame(SYNC)
+def foreign(*raws: bytes, ticks: int = TICKS - BEGIN) -> Prepare:
+    """Somebody sends these frames in turn at our rate, after our command; drive and host hear them."""
 
-    def half_a_period_later(w: World) -> None:
-        for to_drive in (False, True):
-            w._fly(PERIOD_NS // 2, to_drive, raw)
+    def after_ours(raw: bytes) -> Callable[[World], None]:
+        def send(w: World) -> None:
+            for to_drive in (False, True):
+                w._fly(3 * PERIOD_NS // 4, to_drive, raw)
 
-    at_begin(half_a_period_later)(world)
-    world.at += [(tick, half_a_period_later) for tick in range(BEGIN + 1, TICKS)]
+        return send
+
+    def prepare(world: FaultWorld) -> None:
+        at_begin(after_ours(raws[0]))(world)
+        world.at += [(BEGIN + k, after_ours(raws[k % len(raws)])) for k in range(1, ticks)]
+
+    return prepare
+
+
+def command(controlword: int, permille: int = 300) -> bytes:
+    """A command to the drive."""
+    return pack_frame(RPDO1, struct.pack("<Hh", controlword, permille))
+
+
+ENABLING = tuple(command(word) for word in (0x06, 0x07, *[0x0F] * 18))
+STANDS_STILL = pack_frame(TPDO1, bytes(8))
+OTHER_MODE = pack_frame(0x601, struct.pack("<BHBbxxx", 0x2F, 0x6060, 0, 8))
 
 
 WARNING_CODE = 0xFF42  # in drive.warning_codes of the axis file
@@ -255,7 +287,16 @@ SCRIPTS: dict[str, Script] = {
     "drive_bus_off": Script(drive_fault(FaultKind.BUS_OFF)),
     "bus_off": Script(at_begin(host_bus_off)),
     "interface_gone": Script(at_begin(interface_gone)),
-    "foreign_sync": Script(foreign_sync),
+    "foreign_sync": Script(foreign(pack_frame(SYNC))),
+    "foreign_command": Script(foreign(command(0x0F))),
+    "foreign_master": Script(foreign(*ENABLING)),
+    "foreign_feedback": Script(foreign(STANDS_STILL)),
+    "foreign_heartbeat": Script(foreign(pack_frame(OUR_HEARTBEAT, bytes([5])))),
+    "foreign_nmt": Script(foreign(pack_frame(NMT, bytes([0x02, NODE])), ticks=1), keeps_torque=True),
+    "foreign_sdo": Script(foreign(OTHER_MODE, ticks=1)),
+    "keeps_torque_pre_operational": Script(drive_put_into(0x80), keeps_torque=True),
+    "keeps_torque_stopped": Script(drive_put_into(0x02), keeps_torque=True),
+    "keeps_torque_silent": Script(at_begin(lambda world: world.node.nmt.enter(NmtState.STOPPED)), keeps_torque=True),
     "supervisor_silent": Script(supervisor_falls_silent, supervisor_ticks=SILENCE),
     "following_error": limit(following_error_rps=0.2, following_error_s=0.01),
     "overspeed": limit(speed_limit_rps=9.0),
@@ -279,7 +320,7 @@ class Outcome(NamedTuple):
 def live_through(name: str) -> Outcome:
     """One fault, from a turning axis to its end."""
     script = SCRIPTS[name]
-    world = FaultWorld()
+    world = FaultWorld(script.keeps_torque)
     script.prepare(world)
     by_a_limit = not (world.at or world.stalls)
     if by_a_limit:  # looked at from the beginning; the fault begins with the row that breaks the limit

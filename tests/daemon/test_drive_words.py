@@ -10,6 +10,7 @@ from daemon.rig import RATE_HZ, Rig, edit
 from daemon.test_faults import goes_on, running
 
 from fffo_drive.can.frame import pack_frame
+from fffo_drive.canopen_node.nmt import NmtState
 from fffo_drive.daemon.client import CallError
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.recording.reader import read_run
@@ -53,11 +54,26 @@ def test_a_fault_has_the_drives_words_in_status_log_and_recording(tmp_path):
         assert "0x1003, newest first: 0x2310 (continuous over-current at the output)" in text
         assert "statusword 0x" in text
         assert " V (0x6079)" in text
-        assert any("statusword 0x" in event["text"] for event in rig.events("fault"))
+        assert any("last statusword received 0x" in event["text"] for event in rig.events("fault"))
         assert any(event["text"].startswith("the drive says: EMCY 0x2310") for event in rig.events("drive"))
         (file,) = client.call("record", to="off")["files"]
     said = [event.text for event in read_run(file).events]
     assert any(text.startswith("the drive says: EMCY 0x2310") for text in said)
+
+
+def test_a_drive_that_left_operational_is_asked_anew_and_its_heartbeat_corrects(tmp_path):
+    """What was received last is not what it is now: the text says which is which."""
+    with Rig(tmp_path) as rig:
+        client = running(rig)
+        rig.node.tell(lambda node: node.nmt.enter(NmtState.PRE_OPERATIONAL))
+        rig.until_status(lambda s: s["fault"] and "last statusword" in s["fault"]["text"], client)
+        asked = "NMT state pre-operational (its heartbeat)"
+        status = rig.until_status(lambda s: s["fault"] and asked in s["fault"]["text"], client)
+        text = status["fault"]["text"]
+        assert "; statusword 0x02" in text
+        assert "last statusword received 0x1237: operation enabled" in text
+        assert "statusword 0x1237" not in text.replace("last statusword received 0x1237", "")
+        rig.until_status(lambda s: "heartbeat says: pre-operational" in str(rig.events("drive")), client)
 
 
 def test_an_emergency_that_only_warns_is_an_event_and_the_axis_goes_on(tmp_path):

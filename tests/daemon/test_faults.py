@@ -90,6 +90,34 @@ def test_row_another_master(tmp_path):
         thread.join()
 
 
+@pytest.mark.parametrize(
+    ("where", "value", "words"),
+    [
+        ((0x1016, 1), 0, "0x1016:01 is 0 (0x00000000), but was told"),
+        (
+            (0x6007, 0),
+            0,
+            "0x6007:00 is 0 (0x0000), but was told 3 (0x0003), needed for the drive to stop when the PC is silent",
+        ),
+        ((0x1800, 2), 2, "0x1800:02 is 2 (0x02), but was told 1 (0x01), needed for the transmission type of TPDO1"),
+    ],
+)
+def test_row_settings_changed(tmp_path, where, value, words):
+    """In motion a fault that names object and values; at rest the service writes it again by itself."""
+    with Rig(tmp_path) as rig:
+        client = running(rig)
+        rig.node.tell(lambda node: node.od.put(*where, value))
+        status = rig.until("fault", client)
+        assert status["fault"]["name"] == "settings_changed"
+        assert words in status["fault"]["text"]
+        client.call("reset_fault")
+        rig.until("ready", client)
+        connection = client.call("status")["loop"]["connection"]
+        rig.node.tell(lambda node: node.od.put(*where, value))
+        rig.until_status(lambda s: s["state"] == "ready" and s["loop"]["connection"] > connection, client)
+        assert words in str(rig.events("state"))
+
+
 @pytest.mark.parametrize(("loss", "state"), [("stop", "ready"), ("quick_stop", "ready"), ("go_on", "running")])
 def test_row_holder_gone(tmp_path, loss, state):
     with Rig(tmp_path, client_loss=loss) as rig:

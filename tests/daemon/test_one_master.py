@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 
 import pytest
 from buses import BusLog
@@ -38,8 +39,11 @@ class Wire:
     def _ticks(self) -> int:
         return self._rig.do(lambda: self._rig.supervisor.connection.head)
 
+    def _asked(self) -> int:
+        return self._rig.do(lambda: self._rig.supervisor.connection.drive._service._requests)
+
     def __enter__(self) -> None:
-        self._before = self._ticks()
+        self._before, self._asked_before = self._ticks(), self._asked()
         self._log = BusLog(self._rig.bus)
         self._log.__enter__()
 
@@ -49,13 +53,22 @@ class Wire:
         heard = [unpack_frame(frame.raw).can_id for frame in self._log.frames]
         assert 0 < heard.count(SYNC) <= ticks + 1
         assert NMT not in heard
-        assert SDO_REQUEST + NODE not in heard
+        assert heard.count(SDO_REQUEST + NODE) <= self._asked() - self._asked_before  # it reads its settings again
 
 
-def foreign_sync(rig: Rig) -> None:
-    """One."""
+FOREIGN = {
+    "SYNC (0x080)": pack_frame(SYNC),
+    "NMT commands (0x000)": pack_frame(NMT, bytes([0x80, NODE + 1])),
+    "SDO requests to node 1 (0x601)": pack_frame(SDO_REQUEST + NODE, bytes([0x40, 0, 0x10, 0, 0, 0, 0, 0])),
+    "the heartbeat of node 127 (0x77F), which is ours": pack_frame(0x77F, b"\x05"),
+    "commands to node 1 (RPDO 0x201)": pack_frame(0x201, bytes(4)),
+}
+
+
+def somebody_sends(rig: Rig, raw: bytes) -> None:
+    """Once."""
     with open_link(rig.bus) as link:
-        link.send(pack_frame(SYNC))
+        link.send(raw)
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -75,7 +88,7 @@ def test_a_second_service_refuses_and_leaves_the_first_alone(tmp_path, another_m
                 assert second.client().call("status")["state"] == "offline"
         status = client.call("status")
         assert status["fault"] is None
-        assert status["loop"]["exchange"]["foreign_syncs"] == 0
+        assert status["loop"]["exchange"]["foreign_frames"] == 0
         assert status["state"] == ("running" if moving else "ready")
 
 
@@ -113,16 +126,40 @@ def test_the_commands_name_it_too(tmp_path, capsys, another_machine):
             assert "on this machine commands on" in line
 
 
-def test_a_sync_of_another_at_rest_is_no_ready_axis_and_in_motion_a_fault(tmp_path):
+@pytest.mark.parametrize("what", FOREIGN)
+def test_a_frame_of_another_at_rest_is_no_ready_axis_and_in_motion_a_fault(tmp_path, what):
     """Once is enough; without torque the service leaves the drive and comes back, with torque the fault latches."""
     with Rig(tmp_path) as rig:
         rig.until("ready")
-        foreign_sync(rig)
+        somebody_sends(rig, FOREIGN[what])
         rig.until_status(lambda s: s["state"] == "ready" and s["loop"]["connection"] == 2)
-        assert "not ours" in str(rig.events("state"))
+        assert "somebody else sends what only this program may send" in str(rig.events("state"))
         client = running(rig)
-        foreign_sync(rig)
+        somebody_sends(rig, FOREIGN[what])
         status = rig.until("fault", client)
-        assert status["fault"]["name"] == "foreign_sync"
+        assert status["fault"]["name"] == "foreign_command"
+        assert f"{what}" in status["fault"]["text"]
+        assert "from somebody else" in status["fault"]["text"]
         client.call("reset_fault")
         rig.until("ready", client)
+
+
+def test_feedback_of_another_is_an_event_at_the_first_and_a_fault_when_it_goes_on(tmp_path):
+    stands_still = pack_frame(0x181, bytes(8))
+    with Rig(tmp_path) as rig:
+        client = running(rig)
+        somebody_sends(rig, stands_still)
+        status = rig.until_status(lambda s: s["loop"]["exchange"]["duplicate_feedback"], client)
+        assert status["fault"] is None
+        told = "feedback of node 1 (TPDO 0x181) twice after one SYNC"
+        rig.until_status(lambda s: told in str(rig.events("drive")), client)
+        stop = threading.Event()
+        thread = threading.Thread(target=lambda: [somebody_sends(rig, stands_still) for _ in iter(stop.is_set, True)])
+        thread.start()
+        try:
+            status = rig.until("fault", client)
+        finally:
+            stop.set()
+            thread.join()
+        assert status["fault"]["name"] == "foreign_command"
+        assert "feedback of node 1 (TPDO 0x181) from somebody else" in status["fault"]["text"]

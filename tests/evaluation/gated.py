@@ -73,8 +73,8 @@ def _command(port, tick, controlword, current_a):
 
 @port_housekeeping.register(GatedPort)
 @njit
-def _housekeeping(port, tick):
-    return port_housekeeping(port.drive, tick)
+def _housekeeping(port, tick, tripped):
+    return port_housekeeping(port.drive, tick, tripped)
 
 
 class GatedDrive(SimulatedDrive):

@@ -25,7 +25,7 @@ FAULT = 0x0218
 # columns of the log
 SYNC_NS, CONTROLWORD, CURRENT_A = 0, 1, 2
 # columns of the script
-WAKE_DELAY_NS, ANSWERS, STATUSWORD, EMERGENCIES, BUS_OFF, BOOTS, NMT_STATE, NMT_EXITS, FOREIGN_SYNCS = range(9)
+WAKE_DELAY_NS, ANSWERS, STATUSWORD, EMERGENCIES, BUS_OFF, BOOTS, NMT_STATE, NMT_EXITS, FOREIGN_FRAMES = range(9)
 SCRIPT_COLUMNS = 9
 
 
@@ -82,7 +82,7 @@ def receive(port, tick, cutoff_ns):
     record["boot_count"] = row[BOOTS]
     record["nmt_state"] = row[NMT_STATE]
     record["nmt_exits"] = row[NMT_EXITS]
-    record["foreign_syncs"] = row[FOREIGN_SYNCS]
+    record["foreign_frames"] = row[FOREIGN_FRAMES]
     if row[ANSWERS] == 0:
         port.clock_ns[0] = cutoff_ns
         return 0
@@ -106,5 +106,5 @@ def command(port, tick, controlword, current_a):
 
 @port_housekeeping.register(ScriptedPort)
 @njit
-def housekeeping(port, tick):
+def housekeeping(port, tick, tripped):
     return 0

@@ -12,7 +12,7 @@ from runtime.scripted_port import (
     CURRENT_A,
     EMERGENCIES,
     FAULT,
-    FOREIGN_SYNCS,
+    FOREIGN_FRAMES,
     NMT_EXITS,
     NMT_STATE,
     STATUSWORD,
@@ -204,7 +204,7 @@ def test_missing_feedback_holds_the_last_value_then_trips():
     [
         (EMERGENCIES, 1, env.TRIP_EMERGENCY, 0x0002),
         (BUS_OFF, 1, env.TRIP_BUS_OFF, 0x0002),
-        (FOREIGN_SYNCS, 1, env.TRIP_FOREIGN_SYNC, 0x0002),
+        (FOREIGN_FRAMES, 1, env.TRIP_FOREIGN_COMMAND, 0x0002),
         (BOOTS, 1, env.TRIP_REBOOT, 0x0000),
         (NMT_STATE, 0x7F, env.TRIP_NOT_OPERATIONAL, 0x0002),
         (NMT_STATE, 0x04, env.TRIP_NOT_OPERATIONAL, 0x0002),

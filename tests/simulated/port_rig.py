@@ -51,7 +51,7 @@ def run_port(port, first_tick, controlwords, commands_a, rows):
         rows[k, 7] = feedback["status_tick"]
         rows[k, 8] = feedback["received_ns"]
         rows[k, 9] = port_command(port, tick, controlwords[k], commands_a[k])
-        port_housekeeping(port, tick)
+        port_housekeeping(port, tick, False)
 
 
 class Master:

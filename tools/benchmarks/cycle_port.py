@@ -126,8 +126,8 @@ def _command(port: CyclePort, tick: int, controlword: int, current_a: float) -> 
 
 @port_housekeeping.register(CyclePort)  # type: ignore[attr-defined]
 @njit(inline="always")
-def _housekeeping(port: CyclePort, tick: int) -> int:
-    return port_housekeeping(port.canopen, tick)
+def _housekeeping(port: CyclePort, tick: int, tripped: bool) -> int:
+    return port_housekeeping(port.canopen, tick, tripped)
 
 
 class Ends(NamedTuple):

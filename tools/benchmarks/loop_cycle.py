@@ -32,7 +32,7 @@ from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAME
 from fffo_drive.control.envelope import EnvelopeInputs, EnvelopeState
 from fffo_drive.control.velocity_estimator import Measured, VelocityEstimatorState, VelocityEstimatorTerms
 from fffo_drive.drive import cia402
-from fffo_drive.drive.canopen import object_map, port_memory, service_queue
+from fffo_drive.drive.canopen import cyclic, object_map, port_memory, receiving, service_queue
 from fffo_drive.drive.port import FEEDBACK, port_now_ns
 from fffo_drive.model import friction
 from fffo_drive.runtime import blocks as b
@@ -56,7 +56,9 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (cia402, ("STATE_", "CONTROL_", "GOAL_", "STATUS_", "NOT_READY_")),
     (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_", "UNHEEDED_")),
     (object_map, ("FIELD_",)),
-    (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS")),
+    (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS", "SENT_ASIDE", "LOOP_REQUESTS")),
+    (receiving, ("SECOND_",)),
+    (cyclic, ("BESIDE_RPDO", "WITHDRAWAL_EVERY", "SILENT_TICKS", "LOST_TICKS")),
     (friction, ("OMEGA_", "STRIBECK_FLOOR", "PRESLIDING_OVER")),
     (friction_observer, ("TOGGLE_",)),
     (reference, ("MODE_",)),

@@ -65,8 +65,8 @@ def _command(port: PacedPort, tick: int, controlword: int, current_a: float) -> 
 
 @port_housekeeping.register(PacedPort)  # type: ignore[attr-defined]
 @njit
-def _housekeeping(port: PacedPort, tick: int) -> int:
-    return port_housekeeping(port.simulated, tick)
+def _housekeeping(port: PacedPort, tick: int, tripped: bool) -> int:
+    return port_housekeeping(port.simulated, tick, tripped)
 
 
 class PacedDrive:

@@ -26,6 +26,7 @@ from .service import (
     NMT_START,
     READ_ONLY,
     STATE_OPERATIONAL,
+    Kept,
     SdoRefusedError,
     Service,
     object_name,
@@ -50,6 +51,7 @@ def bring_up(
     `check` refuses another drive before anything is written to it. Raises DriveRefusedError or BusUnavailableError.
     """
     for _ in range(2):  # a drive that is being switched on sends two boot-up messages
+        service.kept.clear()
         _reset(service, config)
         identity = read_identity(service)
         check(identity)
@@ -288,6 +290,8 @@ def _set_mode(service: Service, config: CanopenDriveConfig) -> None:
         raise DriveRefusedError(f"node {service.node_id} refuses mode {name}: {refusal}") from refusal
     if config.mode_display == "at_once":
         _await_mode(service, config, lambda: None)
+    elif config.mode_display == "not_checked":
+        service.kept[MODE, 0] = Kept(config.mode, 1, 0xFF, f"mode {name}")
     if config.torque_slope is not None:
         purpose = "a target torque that acts at once (drive.torque_slope)"
         write_checked(service, TORQUE_SLOPE, 0, config.torque_slope, 4, purpose)
@@ -306,6 +310,7 @@ def _await_mode(service: Service, config: CanopenDriveConfig, meanwhile: Callabl
                 "a drive that shows it later takes drive.mode_display: with_sync or not_checked"
             )
         meanwhile()
+    service.kept[MODE_DISPLAY, 0] = Kept(config.mode, 1, 0xFF, f"mode {mode_text(config.mode)}")
 
 
 def _shown_mode(service: Service) -> int:

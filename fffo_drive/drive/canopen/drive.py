@@ -23,17 +23,19 @@ from .config import ONE_MASTER, CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
 from .emergency import WarningNews, asked_words, burst_text, statusword_text
-from .listening import Listening
+from .listening import Listening, foreign_text, masters_frames, state_name
 from .object_lengths import lengths_of
-from .object_map import CONTROLWORD, command_payload
+from .object_map import CONTROLWORD, STATUSWORD, command_payload
 from .port_memory import NO_LINK, SEND_ATTEMPTS, make_port
 from .sdo_writes import write_phase
-from .service import NMT_PRE_OPERATIONAL, Emergency, Service, service_filters
+from .service import NMT_PRE_OPERATIONAL, STATE_OPERATIONAL, Emergency, SdoRefusedError, Service, service_filters
 from .service_queue import ServiceQueue
+from .settings_watch import SettingsWatch
 from .silence import release
 
 LOOP_TIMEOUT_PERIODS = 20
 LOOP_TIMEOUT_MINIMUM_NS = 20_000_000
+SILENT_PERIODS = 5  # without an answer to SYNC, after which the drive's heartbeat is waited for
 
 
 class CanopenDrive:
@@ -53,6 +55,9 @@ class CanopenDrive:
         self._port: CanopenPort | None = None
         self._lock = threading.Lock()
         self._news = WarningNews(config.warning_codes)
+        self._settings: SettingsWatch | None = None
+        self._said_state = STATE_OPERATIONAL  # of NMT
+        self._said_second = False
 
     def listen(self) -> None:
         """Take the lease of the bus and start to listen for other masters; `connect` does it if it was not done
@@ -97,11 +102,16 @@ class CanopenDrive:
             self._refuse_other_masters()
             link = open_link(config.bus, filters=service_filters(config.node_id))
             lengths = lengths_of(self._eds, (config.target, config.torque))
-            self._service = Service(link, config.node_id, queue, config.answer_timeout_s, config.attempts, lengths)
+            withdrawn = frozenset({(CONTROLWORD, 0), (config.target.index, config.target.sub)})
+            self._service = Service(
+                link, config.node_id, queue, config.answer_timeout_s, config.attempts, lengths, withdrawn
+            )
             identity = bring_up(self._service, config, self._check_identity)
             self._link = open_link(config.bus, filters=self._cyclic_filters())
             self._port = make_port(config, self._link, queue.memory)
             start(self._service, config, self._send_sync)
+            self._said_state, self._said_second = STATE_OPERATIONAL, False
+            self._settings = SettingsWatch(self._service, self._port.feedback)
         except LinkError as error:
             self._leave()
             raise BusUnavailableError(str(error)) from error
@@ -124,12 +134,15 @@ class CanopenDrive:
         self._link.send(pack_frame(can.SYNC))
 
     def _cyclic_filters(self) -> list[CanFilter] | None:
-        """The node's frames and SYNC. None on the loopback bus, which counts lost frames only without filters."""
+        """The node's frames, and those that only we may send. None on the loopback bus, which counts lost frames only
+        without filters.
+        """
         if self.config.bus.startswith("loopback:"):
             return None
         identifiers = [pdo.cob_id for pdo in self.config.answers]
-        identifiers += [can.EMERGENCY + self.config.node_id, can.HEARTBEAT + self.config.node_id, can.SYNC]
-        return [CanFilter(identifier) for identifier in identifiers]
+        identifiers += [can.EMERGENCY + self.config.node_id, can.HEARTBEAT + self.config.node_id]
+        identifiers += [word & can.STANDARD_MASK for word in masters_frames(self.config)]
+        return [CanFilter(identifier) for identifier in dict.fromkeys(identifiers)]
 
     @property
     def port(self) -> CanopenPort:
@@ -169,31 +182,76 @@ class CanopenDrive:
     def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
         """All information of the drive on a fault, or on why it is not enabled; empty if it is not connected.
 
-        EMCY, the statusword (the last one received, or `statusword`); with `ask` 0x603F, 0x1003, 0x60FD (limit
-        switches, interlock) and 0x6079 (DC link) by SDO, which takes `answer_timeout_s` where nobody answers.
+        Frames of somebody else and changed settings, EMCY, the statusword (`statusword`, or the last one received, and
+        said to be that). With `ask` it is read anew by SDO, and so are 0x603F, 0x1003, 0x60FD (limit switches,
+        interlock) and 0x6079 (DC link), which takes `answer_timeout_s` where nobody answers; a drive that does not
+        answer SYNC has the time of a heartbeat to say its NMT state.
         """
         service, port = self._service, self._port
         if service is None:
             return ""
-        found = burst_text(list(service.emergencies), self.config.warning_codes, time.monotonic_ns())
+        found = self._meddling()
+        emergencies = burst_text(list(service.emergencies), self.config.warning_codes, time.monotonic_ns())
         errors: list[str] = []
         supplies: list[str] = []
+        now: int | None = None
         if ask:
             with contextlib.suppress(DriveError):
-                errors, supplies = asked_words(service, heard=bool(found))
+                now = self._read_statusword(service)
+                errors, supplies = asked_words(service, heard=bool(emergencies))
+            found += self._nmt_words(service)
         if statusword is None and port is not None and port.feedback["status_tick"][0] >= 0:
             statusword = int(port.feedback["statusword"][0])
-        if statusword is not None:
-            errors.append(statusword_text(statusword, self.config.unserved_status_bits))
-        return "; ".join([*found, *errors, *supplies])
+        unserved = self.config.unserved_status_bits
+        if now is not None:
+            errors.append(statusword_text(now, unserved))
+        if statusword is not None and statusword != now:
+            errors.append(statusword_text(statusword, unserved, "last statusword received"))
+        return "; ".join([*found, *emergencies, *errors, *supplies])
+
+    def _meddling(self) -> list[str]:
+        """What somebody else has sent in our name, or changed in the drive."""
+        if self._port is None:
+            return []
+        feedback, changed = self._port.feedback, self._settings.changed if self._settings is not None else []
+        foreign = int(feedback["foreign_frames"][0])
+        sender = [f"{foreign_text(self.config, int(feedback['foreign_id'][0]))} from somebody else"] if foreign else []
+        return [*sender, *changed]
+
+    def _read_statusword(self, service: Service) -> int | None:
+        """As it is now: None where the drive refuses. Raises DriveError, sooner than other reads."""
+        try:
+            return int.from_bytes(service.read(STATUSWORD, 0, attempts=2)[:2], "little")
+        except SdoRefusedError:
+            return None
+
+    def _nmt_words(self, service: Service) -> list[str]:
+        """The NMT state, where it is not operational."""
+        if self._port is not None:
+            age_ns = time.monotonic_ns() - int(self._port.feedback["received_ns"][0])
+            if age_ns > SILENT_PERIODS * self.config.period_ns:  # it says so with its next heartbeat
+                wait_s = 2e-3 * self.config.drive_heartbeat_ms
+                service.wait_until(lambda: service.nmt_state != STATE_OPERATIONAL, wait_s)
+        if service.nmt_state in (STATE_OPERATIONAL, -1):
+            return []
+        return [f"NMT state {state_name(service.nmt_state)} (its heartbeat)"]
 
     def warnings(self) -> list[str]:
-        """Warnings of the drive since the last call, one sentence each; never waits."""
+        """News of the drive since the last call that stop nothing by themselves, one sentence each; never waits."""
         service, port = self._service, self._port
         if service is None or port is None:
             return []
         statusword = int(port.feedback["statusword"][0])
-        return self._news.look(list(service.emergencies), statusword, time.monotonic_ns())
+        found = self._news.look(list(service.emergencies), statusword, time.monotonic_ns())
+        found += self._settings.news() if self._settings is not None else []
+        if port.feedback["duplicate_feedback"][0] and not self._said_second:
+            self._said_second = True
+            what = foreign_text(self.config, int(port.feedback["foreign_id"][0]))
+            found.append(f"{what} twice after one SYNC: somebody else sends it, or the bus repeats frames")
+        if service.nmt_state not in (self._said_state, -1):
+            self._said_state = service.nmt_state
+            found.append(f"the drive's heartbeat says: {state_name(service.nmt_state)}")
+        return found
 
     def read_object(self, index: int, sub: int) -> bytes:
         """Read an object of the drive by SDO, at any time, from any thread but the loop's.
@@ -215,6 +273,8 @@ class CanopenDrive:
         that a descriptor to which a hung thread may still write is not reused.
         """
         service, link = self._service, self._link
+        if self._settings is not None:
+            self._settings.close()
         if service is not None and service.has_written:
             service.send_directly()
             if link is not None:
@@ -240,6 +300,9 @@ class CanopenDrive:
         self._leave(loop_ended)
 
     def _leave(self, loop_ended: bool = True) -> None:
+        if self._settings is not None:
+            self._settings.close()
+        self._settings = None
         if self._service is not None:
             self._service.close()
         self._service = None

@@ -90,11 +90,11 @@ def emergency_text(emergency: Emergency) -> str:
     return text + (f", vendor bytes {emergency.vendor.hex(' ')}" if any(emergency.vendor) else "")
 
 
-def statusword_text(statusword: int, unserved_bits: Sequence[int] = ()) -> str:
+def statusword_text(statusword: int, unserved_bits: Sequence[int] = (), what: str = "statusword") -> str:
     """The state, and the bits that prevent enabling or following; `unserved_bits`: never set by this drive."""
     unset = ~(statusword | sum(1 << bit for bit in unserved_bits))
     name = next((row.name for row in STATE_TABLE if row.state == state_of(statusword)), "no state of CiA 402")
-    found = [f"statusword 0x{statusword:04X}: {name}"]
+    found = [f"{what} 0x{statusword:04X}: {name}"]
     if unset & STATUS_REMOTE:
         found.append("bit 9 is 0: the drive is in local control and ignores our controlword")
     if unset & STATUS_VOLTAGE_ENABLED:

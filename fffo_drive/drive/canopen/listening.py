@@ -4,7 +4,7 @@ Within `listen_s`, a running master is detected by its SYNC, NMT commands, or fr
 the drive's id by contradicting heartbeats. Not detected are: a master that is silent for this time, or addresses other
 nodes only and sends neither SYNC nor NMT commands; two nodes with one id and identical heartbeats (bring-up finds them
 by two answers to one request); a master that starts at the same moment (on this machine the lease of the bus prevents
-that, and a foreign SYNC is a fault of the running loop).
+that). The running loop watches the same identifiers, and takes any such frame that is not ours as a fault.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from ...can.frame import Frame, unpack_frame
 from ...can.link import open_link
 from .config import ONE_MASTER, CanopenDriveConfig
 from .service import STATE_BOOT_UP, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_STOPPED
+from .silence import LIFE_GUARDING
 
 MOST_FRAMES = 1 << 16  # frames examined: more than a bus at 1 Mbit/s carries in 3 s
 NODE_ID_MASK = 0x7F
@@ -39,17 +40,28 @@ class Obstacle(NamedTuple):
 
 
 def masters_frames(config: CanopenDriveConfig) -> dict[int, str]:
-    """COB-IDs that only a master of this bus or of this drive sends, with a description of each."""
+    """What only a master of this bus or of this drive sends: COB-ID (with its flag, of a remote frame), description."""
     node, master = config.node_id, config.master_id
     commands = {base + node for base in (can.RPDO1, can.RPDO2, can.RPDO3, can.RPDO4)} | {config.command.cob_id}
     commands -= {pdo.cob_id for pdo in config.answers}
+    ours, asked = can.HEARTBEAT + master, can.HEARTBEAT + node
+    guarded = config.silence_detection == LIFE_GUARDING
+    guarding = {can.REMOTE_FLAG | asked: f"guarding requests to node {node} (0x{asked:03X})"} if guarded else {}
     return {
         can.SYNC: "SYNC (0x080)",
         can.NMT: "NMT commands (0x000)",
         can.SDO_REQUEST + node: f"SDO requests to node {node} (0x{can.SDO_REQUEST + node:03X})",
-        can.HEARTBEAT + master: f"the heartbeat of node {master}, which is ours (drive.master_id)",
+        ours: f"the heartbeat of node {master} (0x{ours:03X}), which is ours (drive.master_id)",
         **{cob_id: f"commands to node {node} (RPDO 0x{cob_id:03X})" for cob_id in sorted(commands)},
+        **guarding,
     }
+
+
+def foreign_text(config: CanopenDriveConfig, can_id: int) -> str:
+    """What a frame is that somebody else sent in our name, or in the drive's."""
+    texts = {word & can.STANDARD_MASK: text for word, text in masters_frames(config).items()}
+    texts |= {pdo.cob_id: f"feedback of node {config.node_id} (TPDO 0x{pdo.cob_id:03X})" for pdo in config.answers}
+    return texts.get(can_id, f"frames 0x{can_id:03X}")
 
 
 def frames_of_any_master() -> dict[int, str]:
@@ -76,7 +88,7 @@ class _Life:
             self.states.clear()
             self.boot_ups += 1
         elif self.states and state != self.states[-1] and state in self.states:
-            self.disagree = f"{_state_name(self.states[-1])} and {_state_name(state)} in turn"
+            self.disagree = f"{state_name(self.states[-1])} and {state_name(state)} in turn"
         if not self.states or state != self.states[-1]:
             self.states.append(state)
 
@@ -96,10 +108,13 @@ class Heard:
 
     def take(self, frame: Frame) -> None:
         """Take one frame of the bus; frames come in order."""
-        if frame.extended or frame.remote or frame.error:
+        if frame.extended or frame.error:
             return
-        if frame.can_id in self._of_masters:
-            self._masters.add(frame.can_id)
+        word = frame.can_id | (can.REMOTE_FLAG if frame.remote else 0)
+        if word in self._of_masters:
+            self._masters.add(word)
+        if frame.remote:
+            return
         if frame.can_id & ~NODE_ID_MASK == can.HEARTBEAT and len(frame.data) == 1:
             node = frame.can_id & NODE_ID_MASK
             self.nodes.add(node)
@@ -119,7 +134,8 @@ class Heard:
         return found
 
 
-def _state_name(state: int) -> str:
+def state_name(state: int) -> str:
+    """An NMT state in words."""
     return STATE_NAMES.get(state, f"state 0x{state:02X}")
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from .object_map import COMMAND_OBJECTS, CURRENT, FEEDBACK_OBJECTS, MODE_DISPLAY, TORQUE, MappedObject
 
 SDO_ABORT = 0x80  # command byte; the only request that is not answered
+SDO_DOWNLOADED = 0x60  # command byte of the answer to a download
 LengthOf = Callable[[int, int], int | None]  # by index and sub-index; None: not known, all bytes count
 
 _PDO_COMMUNICATION = {0: 1, 2: 1, 3: 2, 5: 2, 6: 1}  # the COB-ID has four

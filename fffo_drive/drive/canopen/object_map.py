@@ -149,11 +149,6 @@ def feedback_pdos(
     return (*cyclic, PdoMap(slots.event, can.TPDO3 + node_id, status_event, (status,), inhibit_ns))
 
 
-def pdo_table(answers: Sequence[PdoMap]) -> Table:
-    """One row per TPDO, shape (n, 3): COB-ID, length in bytes, 1 if it is sent with every SYNC."""
-    return np.array([(p.cob_id, p.data_bytes, int(p.transmission == EVERY_SYNC)) for p in answers], np.int64)
-
-
 def field_table(answers: Sequence[PdoMap], torque: MappedObject = STANDARD_TORQUE) -> Table:
     """One row per used object, shape (n, 5): row of its TPDO, byte offset, bytes, signed, FIELD_*."""
     rows = []

@@ -8,24 +8,34 @@ import numpy as np
 
 from ...can import frame as can
 from ...jit import njit
+from ...jit.atomic import load_acquire
 from ...jit.libc import EAGAIN, EINTR, MSG_DONTWAIT, monotonic_ns, recv
 from ..port import NMT_OPERATIONAL
 from .object_map import FIELD_POSITION, FIELD_STATUSWORD, FIELD_TORQUE, FIELD_VELOCITY
 from .port_memory import (
-    AMBIGUOUS,
     ANSWERED,
     ANSWERED_TWICE,
+    ANSWERS_SYNC,
     CONTROLLER_OFF,
+    HEARD_ASIDE,
     MEMORY_WORDS,
+    OF_LOOP,
+    OF_SERVICE,
+    OWED,
     POSITION_COUNTS,
     POSITION_KNOWN,
     POSITION_RAW,
+    SECOND_ANSWERS,
     CanopenPort,
     Words,
 )
 from .sending import note_bus_state, note_errno
+from .service_queue import SENT_ASIDE
 
 FLAGS = can.EXTENDED_FLAG | can.REMOTE_FLAG
+# An answer beyond those that are owed may be a repeated frame. More than one in SECOND_EVERY SYNCs, beyond a burst of
+# SECOND_BURST, are somebody else's.
+SECOND_EVERY, SECOND_BURST = 100, 10
 
 
 @njit(inline="always")
@@ -69,6 +79,36 @@ def _unwrap(memory: Words, raw: int) -> int:
     return int(memory[POSITION_COUNTS])
 
 
+@njit
+def _note_foreign(port: CanopenPort, can_id: int, count: int) -> int:
+    """Count frames of somebody else; the first is named, for what the drive does upon it comes later. Returns 0."""
+    feedback = port.feedback[0]
+    if feedback["foreign_frames"] == 0:
+        feedback["foreign_id"] = can_id
+    feedback["foreign_frames"] += count
+    return 0
+
+
+@njit
+def _take_second_answer(port: CanopenPort, can_id: int) -> int:
+    """A second answer to one SYNC, with none owed: above a share it is somebody else's. Returns 0."""
+    port.feedback[0]["duplicate_feedback"] += 1
+    port.memory[SECOND_ANSWERS] += SECOND_EVERY
+    return _note_foreign(port, can_id, 1 if port.memory[SECOND_ANSWERS] > SECOND_EVERY * SECOND_BURST else 0)
+
+
+@njit
+def _take_masters_frame(port: CanopenPort, word: int, kind: int) -> int:
+    """A frame that only we may send: a link does not hear its own, so it is somebody else's. Returns 0.
+
+    Unless it is of our service, which sends by a link of its own while no loop runs, and counts what it sends.
+    """
+    if kind == OF_SERVICE and port.memory[HEARD_ASIDE] < load_acquire(port.queue.words, SENT_ASIDE):
+        port.memory[HEARD_ASIDE] += 1
+        return 0
+    return _note_foreign(port, word & can.STANDARD_MASK, 1)
+
+
 @njit(inline="always")
 def _take_answer(port: CanopenPort, slot: int, tick: int, in_time: bool) -> int:
     """A TPDO that answers every SYNC: use it, or count it as late. Returns 0."""
@@ -76,11 +116,12 @@ def _take_answer(port: CanopenPort, slot: int, tick: int, in_time: bool) -> int:
     bit = 1 << slot
     if memory[ANSWERED] & bit != 0:
         memory[ANSWERED_TWICE] |= bit
-        if memory[AMBIGUOUS] == 0:
-            port.feedback[0]["duplicate_feedback"] += 1
+        if memory[OWED] == 0:
+            _take_second_answer(port, port.known[slot, 0])
     if not in_time or memory[ANSWERED_TWICE] & bit != 0:
         port.feedback[0]["late_feedback"] += 1
     memory[ANSWERED] |= bit
+    memory[OWED] = max(0, memory[OWED] - 1)
     if in_time:
         _decode(port, slot, tick)
         port.feedback[0]["received_ns"] = monotonic_ns(port.scratch)
@@ -131,7 +172,7 @@ def _take_error_frame(port: CanopenPort, word: int) -> int:
 
 @njit(inline="always")
 def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
-    """Handle the frame in `port.received`. SYNC of others is counted, their other frames are ignored. Returns 0."""
+    """Handle the frame in `port.received`: what is sent in our name is counted, other frames are ignored. Returns 0."""
     word: Any = np.int64(port.received_words[0])
     if word & can.ERROR_FLAG != 0:
         return _take_error_frame(port, word)
@@ -140,23 +181,22 @@ def take_frame(port: CanopenPort, tick: int, in_time: bool) -> int:
         note_bus_state(port)
     can_id = word & can.EXTENDED_MASK
     slot = -1
-    for i in range(port.pdos.shape[0]):
-        if port.pdos[i, 0] == can_id:
+    for i in range(port.known.shape[0]):
+        if port.known[i, 0] == can_id or port.known[i, 0] == word:  # a guarding request is known by its flag
             slot = i
-    node_message = can_id in (can.EMERGENCY + port.node_id, can.HEARTBEAT + port.node_id)
-    if slot < 0 and not node_message:
-        if word == can.SYNC:  # a socket does not receive its own frames, on either kind of link
-            port.feedback[0]["foreign_syncs"] += 1
-        return 0
-    if word == port.question:  # sent by the service
+            break
+    kind: Any = port.known[slot, 2] if slot >= 0 else -1
+    if kind >= OF_LOOP:
+        return _take_masters_frame(port, word, kind) if word == port.known[slot, 0] else 0
+    if slot < 0 and can_id not in (can.EMERGENCY + port.node_id, can.HEARTBEAT + port.node_id):
         return 0
     length: Any = np.int64(port.received[can.LENGTH_OFFSET])
-    if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.pdos[slot, 1]):
+    if word & FLAGS != 0 or length > can.MAX_DATA or (slot >= 0 and length != port.known[slot, 1]):
         port.feedback[0]["bad_frames"] += 1
         return 0
     if slot < 0:
         return _take_node_message(port, can_id, length)
-    if port.pdos[slot, 2] != 0:
+    if kind == ANSWERS_SYNC:
         return _take_answer(port, slot, tick, in_time)
     return _decode(port, slot, tick)
 

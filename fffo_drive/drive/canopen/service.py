@@ -11,6 +11,7 @@ own), and both directions counted, because two nodes with one id answer one requ
 from __future__ import annotations
 
 import contextlib
+import struct
 import threading
 import time
 from collections import deque
@@ -22,7 +23,8 @@ from ...can.bpf import CanFilter
 from ...can.frame import Frame, pack_frame, unpack_frame
 from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveRefusedError
-from .object_lengths import SDO_ABORT, LengthOf, standard_length
+from .object_lengths import SDO_ABORT, SDO_DOWNLOADED, LengthOf, standard_length
+from .object_map import MappedObject
 from .service_queue import ServiceQueue
 
 NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x80, 0x82
@@ -58,14 +60,40 @@ class Emergency(NamedTuple):
     vendor: bytes  # up to five bytes
 
 
+class Kept(NamedTuple):
+    """What an object of the drive was told, and has to be for as long as the drive is in use."""
+
+    value: int
+    size: int  # bytes
+    mask: int  # of the bits that count
+    purpose: str  # completes "needed for ..."
+
+    def is_still(self, read: int) -> bool:
+        """Whether a value that was read is the one that was told."""
+        return (read ^ self.value) & self.mask == 0
+
+
 QUIET_TRIES = 20  # unanswered requests before an error
 REQUESTS_THAT_COUNT = 2  # requests answered twice before two nodes are reported to have one id
 READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])  # SDO upload of 0x1000:00 (CiA 301 7.2.4.3.5)
 
 
+def expedited_download(node_id: int, item: MappedObject, value: int) -> bytes:
+    """The frame that writes an object of 1 to 4 bytes by SDO (CiA 301 7.2.4.3.3)."""
+    size = item.bits // 8
+    command = 0x23 | (4 - size) << 2
+    data = struct.pack("<BHB", command, item.index, item.sub) + value.to_bytes(size, "little").ljust(4, b"\0")
+    return pack_frame(can.SDO_REQUEST + node_id, data)
+
+
 def object_name(index: int, sub: int) -> str:
     """For instance 0x6040:00, as all messages name an object."""
     return f"0x{index:04X}:{sub:02X}"
+
+
+def shown_value(value: int, size: int) -> str:
+    """For instance 150 (0x0096)."""
+    return f"{value} (0x{value & ((1 << 8 * size) - 1):0{2 * size}X})"
 
 
 def service_filters(node_id: int) -> list[CanFilter]:
@@ -79,9 +107,11 @@ class Service:
 
     def __init__(
         self, link: Link, node_id: int, queue: ServiceQueue, answer_timeout_s: float, attempts: int,
-        length_of: LengthOf = standard_length,
+        length_of: LengthOf = standard_length, loop_writes: frozenset[tuple[int, int]] = frozenset(),
     ) -> None:  # fmt: skip
-        """`length_of`: of objects whose size an answer does not state."""
+        """`length_of`: of objects whose size an answer does not state. `loop_writes`: index and sub-index of objects
+        that the loop writes too, without waiting for the answers.
+        """
         self.link, self.node_id, self.queue = link, node_id, queue
         self.boot_ups = 0  # messages since the last `forget`
         self.nmt_state = -1
@@ -89,7 +119,10 @@ class Service:
         self.emergencies: deque[Emergency] = deque(maxlen=KEPT_EMERGENCIES)
         self.failure: LinkError | None = None  # of the last attempt to receive
         self.has_written = False  # to an object of the node
+        self.kept: dict[tuple[int, int], Kept] = {}  # index and sub-index -> what was written and read back
         self._attempts = attempts
+        self._loop_writes = loop_writes
+        self._asked: tuple[int, int] | None = None  # the object of the transfer under way
         self._requests = 0
         self._responses = 0
         self._transfer = threading.RLock()
@@ -117,9 +150,11 @@ class Service:
             if not self.queue.put(frame):
                 raise BusUnavailableError(f"{self.link.spec}: the loop does not let service frames out")
             return
+        self.queue.count_aside(1)
         try:
             self.link.send(frame)
         except LinkError as error:
+            self.queue.count_aside(-1)
             raise BusUnavailableError(str(error)) from error
 
     def command_nmt(self, command: int) -> None:
@@ -132,12 +167,12 @@ class Service:
 
     # --- SDO ---
 
-    def read(self, index: int, sub: int) -> bytes:
-        """Upload an object.
+    def read(self, index: int, sub: int, attempts: int | None = None) -> bytes:
+        """Upload an object; `attempts`: another number of them than otherwise.
 
         Raises SdoRefusedError, DriveRefusedError (two nodes), BusUnavailableError (no answer).
         """
-        return bytes(self._transact(index, sub, "read", lambda: self._client.upload(index, sub)))
+        return bytes(self._transact(index, sub, "read", lambda: self._client.upload(index, sub), attempts))
 
     def write(self, index: int, sub: int, data: bytes) -> None:
         """Download an object. Raises as `read`."""
@@ -158,12 +193,14 @@ class Service:
                 return None
             raise
 
-    def _transact(self, index: int, sub: int, what: str, transfer: Callable[[], T]) -> T:
+    def _transact(self, index: int, sub: int, what: str, transfer: Callable[[], T], attempts: int | None = None) -> T:
         from canopen import SdoAbortedError, SdoCommunicationError
 
         name = object_name(index, sub)
+        attempts = attempts or self._attempts
         with self._transfer:
-            for _ in range(self._attempts):
+            self._asked = index, sub
+            for _ in range(attempts):
                 try:
                     result = transfer()
                 except SdoAbortedError as abort:
@@ -180,14 +217,14 @@ class Service:
                 return result
         raise BusUnavailableError(
             f"{self.link.spec}: node {self.node_id} does not answer when asked to {what} {name} "
-            f"({self._attempts} times, {self._client.RESPONSE_TIMEOUT} s each); "
+            f"({attempts} times, {self._client.RESPONSE_TIMEOUT} s each); "
             "is it powered, wired and terminated, and are bit rate and node id right? "
             f"Heard of: {', '.join(f'node {other}' for other in sorted(self.others)) or 'no other node'}"
         )
 
     def check_one_node(self) -> None:
         """Raise DriveRefusedError when there were more SDO answers than requests, and two more requests show why."""
-        if self._responses <= self._requests:
+        if self._responses <= self._requests + self.queue.loop_requests:
             return
         # a late answer comes once, a second node answers every request
         if all(self._answers_to_one_request() > 1 for _ in range(REQUESTS_THAT_COUNT)):
@@ -204,12 +241,13 @@ class Service:
             for _ in range(QUIET_TRIES):
                 if not self._answers_beyond(self._responses):
                     break
-            self._requests = self._responses = 0
+            self._requests, self._responses = -self.queue.loop_requests, 0
             self.send_message(can.SDO_REQUEST + self.node_id, READ_DEVICE_TYPE)
             self._answers_beyond(1)
             while not self._client.responses.empty():
                 self._client.responses.get_nowait()
-            return self._responses
+            of_loop = self._requests + self.queue.loop_requests - 1  # requests that it made meanwhile
+            return self._responses - of_loop
 
     def _answers_beyond(self, known: int) -> bool:
         """Wait for more SDO answers than so many, for as long as an answer may take."""
@@ -247,7 +285,7 @@ class Service:
         with self._changed:
             if kind == can.SDO_RESPONSE and len(data) == can.MAX_DATA:
                 self._responses += 1
-                if self._client.responses.qsize() < KEPT_ANSWERS:
+                if not self._is_of_loop(data) and self._client.responses.qsize() < KEPT_ANSWERS:
                     self._client.on_response(frame.can_id, data, 0.0)
             elif kind == can.HEARTBEAT and len(data) == 1:
                 self.nmt_state = data[0] & 0x7F
@@ -258,6 +296,12 @@ class Service:
                 code = int.from_bytes(data[:2], "little")
                 self.emergencies.append(Emergency(time.monotonic_ns(), code, data[2], data[3:]))
             self._changed.notify_all()
+
+    def _is_of_loop(self, data: bytes) -> bool:
+        """Whether an answer (to a download, or an abort) is to a request of the loop's own, which nobody waits for."""
+        multiplexer = int.from_bytes(data[1:3], "little"), data[3]
+        answers = data[0] in (SDO_DOWNLOADED, SDO_ABORT)
+        return answers and multiplexer in self._loop_writes and multiplexer != self._asked
 
     def close(self) -> None:
         """Stop reading and close the link; never raises."""

@@ -1,6 +1,8 @@
 """Service (SDO, NMT) frames from ordinary threads to the loop, which sends one per tick, after the command.
 
-One producer at a time (a lock on the Python side), one consumer (the loop), no lock between them.
+One producer at a time (a lock on the Python side), one consumer (the loop), no lock between them. What a thread sends
+beside the loop, while that does not run, is counted here too: the loop's own link hears it, and has to know it from
+somebody else's.
 """
 
 from __future__ import annotations
@@ -17,11 +19,14 @@ from ...jit.atomic import load_acquire, store_release
 
 SLOTS = 64
 HEAD, TAIL, CYCLE_NS = 0, 1, 2  # words: frames put, frames taken, time of the loop's last visit
+SENT_ASIDE = 3  # frames sent beside the loop, counted before each send
+LOOP_REQUESTS = 4  # SDO requests of the loop's own, counted before each send
+QUEUE_WORDS = 5
 MAX_AGE_NS = 100_000_000  # an older frame is dropped: its sender has timed out
 
 
 class QueueMemory(NamedTuple):
-    """The compiled side: frames uint8 (SLOTS, 16), their times int64 (SLOTS,), words int64 (3,)."""
+    """The compiled side: frames uint8 (SLOTS, 16), their times int64 (SLOTS,), words int64 (QUEUE_WORDS,)."""
 
     frames: np.ndarray[Any, np.dtype[np.uint8]]
     times: np.ndarray[Any, np.dtype[np.int64]]
@@ -30,7 +35,8 @@ class QueueMemory(NamedTuple):
 
 def new_queue_memory() -> QueueMemory:
     """An empty queue."""
-    return QueueMemory(np.zeros((SLOTS, FRAME_SIZE), np.uint8), np.zeros(SLOTS, np.int64), np.zeros(3, np.int64))
+    frames, times = np.zeros((SLOTS, FRAME_SIZE), np.uint8), np.zeros(SLOTS, np.int64)
+    return QueueMemory(frames, times, np.zeros(QUEUE_WORDS, np.int64))
 
 
 @njit
@@ -75,6 +81,16 @@ class ServiceQueue:
         """True while the loop visits the queue; frames must then go through it."""
         seen_ns = load_acquire(self.memory.words, CYCLE_NS)
         return seen_ns > 0 and time.monotonic_ns() - seen_ns < self._loop_timeout_ns
+
+    @property
+    def loop_requests(self) -> int:
+        """SDO requests that the loop has made itself."""
+        return load_acquire(self.memory.words, LOOP_REQUESTS)
+
+    def count_aside(self, frames: int) -> None:
+        """A frame is about to be sent beside the loop (1), or was refused by the kernel (-1)."""
+        with self._lock:
+            store_release(self.memory.words, SENT_ASIDE, int(self.memory.words[SENT_ASIDE]) + frames)
 
     def put(self, frame: bytes) -> bool:
         """Queue a frame of 16 bytes; False when the queue is full."""

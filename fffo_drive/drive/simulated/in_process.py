@@ -143,7 +143,7 @@ def _command(port: SimulatedPort, tick: int, controlword: int, current_a: float)
 
 @port_housekeeping.register(SimulatedPort)  # type: ignore[attr-defined, untyped-decorator]
 @njit
-def _housekeeping(port: SimulatedPort, tick: int) -> int:
+def _housekeeping(port: SimulatedPort, tick: int, tripped: bool) -> int:
     return 0
 
 

@@ -14,6 +14,8 @@
 #define FLOOD_CHECK 32
 #define NS_PER_S 1000000000LL
 
+static int64_t state_of(int64_t statusword); /* loop.c */
+
 static inline int64_t load_acquire(const int64_t *word)
 {
     return atomic_load_explicit((const _Atomic int64_t *)word, memory_order_acquire);
@@ -139,16 +141,40 @@ static void decode(struct canopen_port *port, int64_t slot, int64_t tick)
     }
 }
 
+static void note_foreign(struct canopen_port *port, int64_t can_id, int64_t count)
+{
+    if (port->feedback->foreign_frames == 0)
+        port->feedback->foreign_id = can_id;
+    port->feedback->foreign_frames += count;
+}
+
+static void take_second_answer(struct canopen_port *port, int64_t can_id)
+{
+    port->feedback->duplicate_feedback += 1;
+    port->memory[SECOND_ANSWERS] += SECOND_EVERY;
+    note_foreign(port, can_id, port->memory[SECOND_ANSWERS] > SECOND_EVERY * SECOND_BURST);
+}
+
+static void take_masters_frame(struct canopen_port *port, int64_t word, int64_t kind)
+{
+    if (kind == OF_SERVICE && port->memory[HEARD_ASIDE] < load_acquire(&port->queue.words[SENT_ASIDE]))
+        port->memory[HEARD_ASIDE] += 1;
+    else
+        note_foreign(port, word & STANDARD_MASK, 1);
+}
+
 static void take_answer(struct canopen_port *port, int64_t slot, int64_t tick, bool in_time)
 {
     int64_t *memory = port->memory, bit = 1LL << slot;
     if (memory[ANSWERED] & bit) {
         memory[ANSWERED_TWICE] |= bit;
-        port->feedback->duplicate_feedback += memory[AMBIGUOUS] == 0;
+        if (memory[OWED] == 0)
+            take_second_answer(port, port->known[slot][0]);
     }
     if (!in_time || (memory[ANSWERED_TWICE] & bit))
         port->feedback->late_feedback += 1;
     memory[ANSWERED] |= bit;
+    memory[OWED] = memory[OWED] > 0 ? memory[OWED] - 1 : 0;
     if (in_time) {
         decode(port, slot, tick);
         port->feedback->received_ns = monotonic_ns();
@@ -201,21 +227,25 @@ static void take_frame(struct canopen_port *port, int64_t tick, bool in_time)
         note_bus_state(port);
     }
     int64_t can_id = word & EXTENDED_MASK, slot = -1;
-    for (int64_t i = 0; i < port->pdos_n; i++)
-        if (port->pdos[i][0] == can_id)
+    for (int64_t i = 0; i < port->known_n; i++)
+        if (port->known[i][0] == can_id || port->known[i][0] == word) {
             slot = i;
-    if (slot < 0 && can_id != EMERGENCY + port->node_id && can_id != HEARTBEAT + port->node_id) {
-        port->feedback->foreign_syncs += word == SYNC;
+            break;
+        }
+    int64_t kind = slot >= 0 ? port->known[slot][2] : -1;
+    if (kind >= OF_LOOP) {
+        if (word == port->known[slot][0])
+            take_masters_frame(port, word, kind);
         return;
     }
-    if (word == port->question)
+    if (slot < 0 && can_id != EMERGENCY + port->node_id && can_id != HEARTBEAT + port->node_id)
         return;
     int64_t length = port->received[LENGTH_OFFSET];
-    if ((word & (EXTENDED_FLAG | REMOTE_FLAG)) || length > MAX_DATA || (slot >= 0 && length != port->pdos[slot][1]))
+    if ((word & (EXTENDED_FLAG | REMOTE_FLAG)) || length > MAX_DATA || (slot >= 0 && length != port->known[slot][1]))
         port->feedback->bad_frames += 1;
     else if (slot < 0)
         take_node_message(port, can_id, length);
-    else if (port->pdos[slot][2] != 0)
+    else if (kind == ANSWERS_SYNC)
         take_answer(port, slot, tick, in_time);
     else
         decode(port, slot, tick);
@@ -229,9 +259,15 @@ static void bus_sync(struct canopen_port *port, int64_t tick)
     for (int drained = 0; drained < MAX_DRAINED && read_frame(port); drained++)
         take_frame(port, tick - 1, false);
     memory[AMBIGUOUS] = (memory[ANSWERED] & memory[EXPECTED]) != memory[EXPECTED];
+    memory[IN_TIME_TICKS] = memory[AMBIGUOUS] == 0 ? memory[IN_TIME_TICKS] + 1 : 0;
+    if (memory[IN_TIME_TICKS] > LOST_TICKS)
+        memory[OWED] = 0;
     memory[ANSWERED] = memory[ANSWERED_TWICE] = memory[EXPECTED] = 0;
-    if (memory[CONTROLLER_OFF] == 0 && send_frame(port, port->sync_frame))
+    memory[SECOND_ANSWERS] = memory[SECOND_ANSWERS] > 0 ? memory[SECOND_ANSWERS] - 1 : 0;
+    if (memory[CONTROLLER_OFF] == 0 && send_frame(port, port->frames[SYNC_FRAME])) {
         memory[EXPECTED] = port->answer_mask;
+        memory[OWED] += memory[ANSWERS];
+    }
 }
 
 static bool bus_receive(struct canopen_port *port, int64_t tick, int64_t cutoff_ns)
@@ -262,7 +298,7 @@ static double bus_command(struct canopen_port *port, int64_t controlword, double
         limited = limited < -limit ? -limit : limited > limit ? limit : limited;
         target = (int64_t)floor(limited + 0.5);
     }
-    uint8_t *frame = port->command_frame;
+    uint8_t *frame = port->frames[COMMAND_FRAME];
     frame[port->controlword_at] = controlword & 0xFF;
     frame[port->controlword_at + 1] = (controlword >> 8) & 0xFF;
     for (int64_t i = 0; i < port->target_bytes; i++)
@@ -282,14 +318,45 @@ static int64_t next_service_frame(struct queue_memory *queue, int64_t now_ns)
     return tail < head ? tail % SLOTS : -1;
 }
 
-static void bus_housekeeping(struct canopen_port *port)
+static bool withdraw(struct canopen_port *port, int64_t tick)
+{
+    static const int64_t withdrawal[] = {ZERO_TARGET, SAME_CONTROLWORD, BE_PRE_OPERATIONAL, ZERO_TARGET,
+                                         SAME_CONTROLWORD};
+    int64_t turn = port->memory[TRIPPED_TICKS]++, state = port->feedback->nmt_state;
+    bool silent = tick - port->feedback->velocity_tick > SILENT_TICKS || (state >= 0 && state != NMT_OPERATIONAL);
+    int64_t step = turn % WITHDRAWAL_EVERY;
+    bool says_so_since = port->feedback->status_tick > tick - turn + BESIDE_RPDO;
+    if (turn >= WITHDRAWAL_EVERY && says_so_since && state_of(port->feedback->statusword) == STATE_OPERATION_ENABLED)
+        port->memory[DISOBEYS] = 1;
+    if (step >= (int64_t)(sizeof withdrawal / sizeof *withdrawal) ||
+        (turn >= BESIDE_RPDO && !silent && port->memory[DISOBEYS] == 0))
+        return false;
+    int64_t chosen = withdrawal[step], *words = port->queue.words;
+    uint8_t *frame = port->frames[chosen];
+    if (chosen == SAME_CONTROLWORD) {
+        frame[SDO_DATA] = port->frames[COMMAND_FRAME][port->controlword_at];
+        frame[SDO_DATA + 1] = port->frames[COMMAND_FRAME][port->controlword_at + 1];
+    }
+    if (chosen != BE_PRE_OPERATIONAL)
+        store_release(&words[LOOP_REQUESTS], load_acquire(&words[LOOP_REQUESTS]) + 1);
+    send_frame(port, frame);
+    return true;
+}
+
+static void bus_housekeeping(struct canopen_port *port, int64_t tick, bool tripped)
 {
     struct queue_memory *queue = &port->queue;
     int64_t now_ns = monotonic_ns(), slot = next_service_frame(queue, now_ns);
     if (port->feedback->bus_off) {
         store_release(&queue->words[TAIL], load_acquire(&queue->words[HEAD]));
-    } else if (now_ns >= port->memory[NEXT_HEARTBEAT_NS]) {
-        if (send_frame(port, port->heartbeat_frame))
+        return;
+    }
+    if (!tripped)
+        port->memory[TRIPPED_TICKS] = port->memory[DISOBEYS] = 0;
+    else if (withdraw(port, tick))
+        return;
+    if (now_ns >= port->memory[NEXT_HEARTBEAT_NS]) {
+        if (send_frame(port, port->frames[HEARTBEAT_FRAME]))
             port->memory[NEXT_HEARTBEAT_NS] = now_ns + port->heartbeat_period_ns;
     } else if (slot >= 0 && send_frame(port, queue->frames[slot])) {
         store_release(&queue->words[TAIL], queue->words[TAIL] + 1);

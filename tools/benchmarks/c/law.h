@@ -324,8 +324,8 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
 {
     if (seen->bus_off)
         return TRIP_BUS_OFF;
-    if (seen->foreign_syncs > 0)
-        return TRIP_FOREIGN_SYNC;
+    if (seen->foreign_frames > 0)
+        return TRIP_FOREIGN_COMMAND;
     if (seen->reboots > 0)
         return TRIP_REBOOT;
     if (seen->emergencies > 0)
@@ -336,6 +336,8 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
         return TRIP_NOT_OPERATIONAL;
     if (c->heartbeat_timeout_ns > 0 && seen->heartbeat_age_ns > c->heartbeat_timeout_ns)
         return TRIP_HEARTBEAT;
+    if (seen->settings_changes > 0)
+        return TRIP_SETTINGS_CHANGED;
     if (!seen->wanted)
         return TRIP_NONE;
     if (state->was_enabled && !seen->enabled)

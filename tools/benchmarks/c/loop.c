@@ -206,7 +206,8 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .not_operational = (feedback->nmt_state >= 0 && feedback->nmt_state != NMT_OPERATIONAL) ||
                            feedback->nmt_exits != baseline->nmt_exits,
         .bus_off = feedback->bus_off != 0 || feedback->bus_losses != baseline->bus_losses,
-        .foreign_syncs = feedback->foreign_syncs - baseline->foreign_syncs,
+        .foreign_frames = feedback->foreign_frames - baseline->foreign_frames,
+        .settings_changes = feedback->settings_changed - baseline->settings_changes,
         .heartbeat_age_ns = feedback->heartbeat_ns >= 0 ? timing->woke_ns - feedback->heartbeat_ns : -1,
         .wanted = wanted,
         .enabled = enabled,
@@ -229,7 +230,8 @@ static int64_t flags_of(const struct envelope_inputs *seen, bool loop_began, boo
     flags |= seen->bus_off ? FLAG_BUS_OFF : 0;
     flags |= seen->local_control ? FLAG_LOCAL_CONTROL : 0;
     flags |= seen->ignores_target ? FLAG_IGNORES_TARGET : 0;
-    return flags | (seen->foreign_syncs > 0 ? FLAG_FOREIGN_SYNC : 0);
+    flags |= seen->settings_changes > 0 ? FLAG_SETTINGS_CHANGED : 0;
+    return flags | (seen->foreign_frames > 0 ? FLAG_FOREIGN_COMMAND : 0);
 }
 
 static void write_row(struct row *row, int64_t head, const struct timing *timing, const struct loop_config *config,
@@ -274,6 +276,7 @@ static void write_row(struct row *row, int64_t head, const struct timing *timing
     row->heartbeat_age_ns = seen->heartbeat_age_ns;
     row->statusword = seen->statusword;
     row->current_a = feedback->current_a;
+    row->foreign_id = feedback->foreign_id;
     row->true_velocity_rps = feedback->true_velocity_rps;
     row->true_friction_nm = feedback->true_friction_nm;
 }
@@ -304,7 +307,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
     struct envelope_state envelope = {.was_enabled = 0};
     struct profile_cursor cursor = {status[PROFILE_DONE], -1, 0, MODE_IDLE};
     struct baseline baseline = {feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits, feedback->foreign_syncs};
+                                feedback->nmt_exits, feedback->foreign_frames, feedback->settings_changed};
     int64_t reset_number = load_acquire(&control[RESET_NUMBER]), reset_ticks = 0;
     int64_t trip = TRIP_NONE, controlword = 0, stopping_ticks = 0, head = load_acquire(&ring->words[HEAD]);
     int64_t last_sync_ns = first_deadline_ns - config->period_ns, deadline_ns = first_deadline_ns;
@@ -343,7 +346,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
             trip = TRIP_NONE;
             envelope = (struct envelope_state){.i2t_a2s = envelope.i2t_a2s};
             baseline = (struct baseline){feedback->emergency_count, feedback->boot_count, feedback->bus_losses,
-                                feedback->nmt_exits, feedback->foreign_syncs};
+                                feedback->nmt_exits, feedback->foreign_frames, feedback->settings_changed};
         }
         int64_t toggle = load_acquire(&control[TOGGLE]), goal = load_acquire(&control[GOAL]);
         if (stopping_ticks > 0)
@@ -423,7 +426,7 @@ int64_t run_loop(struct cycle_port *cycle, const struct loop_config *config, con
         status[STATUSWORD] = row->statusword;
         status[PROFILE_SAMPLE] = row->profile_sample;
         store_release(&status[TICK], timing.tick);
-        bus_housekeeping(port);
+        bus_housekeeping(port, timing.tick, trip != TRIP_NONE);
 
         if (reset_ticks > 0)
             reset_ticks -= 1;

@@ -81,6 +81,11 @@ class Node(CanopenNode):
         """0x6007. `announce`: no EMCY was sent for it yet."""
         self.drive.connection_lost(code, announce)
 
+    def left_operational(self) -> None:
+        """As the connection lost, unless the drive keeps its last torque all the same."""
+        if not self.config.personality.keeps_torque:
+            super().left_operational()
+
     def restart(self) -> None:
         """The drive as after power-on; the shaft goes on."""
         self.drive.restart()

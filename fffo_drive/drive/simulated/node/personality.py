@@ -30,6 +30,7 @@ class Personality:
     command_following: Literal["shown", "not_shown", "refused"] = note(
         "shown", "statusword bit 12: shown; not_shown: 0 although the target acts; refused: 0, and no target acts"
     )
+    keeps_torque: bool = note(False, "keeps its state and torque when it leaves NMT operational, whatever 0x6007 says")
     starts_itself: bool = note(False, "goes OPERATIONAL after boot-up without its master, whatever 0x1F80 says")
     remote: bool = note(True, "statusword bit 9; false: the drive is in local control and takes no controlword")
     warning_code: int = key(0, "-", 0, 0xFFFF, "code of an emergency message that is only a warning; 0 for none")
