@@ -241,10 +241,20 @@ class EnvelopeSection(StrictRecord):
     ] = "trip"
     position_window_rev: Annotated[Pair | None, Field(description="[low, high]; null: unlimited rotation")] = None
     following_error_rps: Annotated[
-        Rps, Field(description="trips when the velocity error exceeds this for longer than following_error_s, rev/s")
+        Rps,
+        Field(
+            description="trips when the velocity error exceeds this for longer than following_error_s, rev/s; also "
+            "when it alternates at 10 Hz or faster"
+        ),
     ]
     following_error_s: Annotated[
-        float, Field(gt=0, le=60, description="time allowed beyond following_error_rps, s")
+        float,
+        Field(
+            gt=0,
+            le=60,
+            description="time allowed beyond following_error_rps, and for a command that reverses at its limit at "
+            "10 Hz or faster (trip oscillation), s",
+        ),
     ] = 0.2
     feedback_missing_ticks: Annotated[
         int | None,

@@ -38,7 +38,8 @@ TRIP_FOREIGN_COMMAND = 15
 TRIP_LOCAL_CONTROL = 16
 TRIP_NOT_FOLLOWING = 17
 TRIP_SETTINGS_CHANGED = 18
-TRIP_COUNT = 19
+TRIP_OSCILLATION = 19
+TRIP_COUNT = 20
 
 TRIP_NAMES = {  # as axis files, messages and the manual have them
     value: name.removeprefix("TRIP_").lower()
@@ -51,6 +52,10 @@ TRIP_TEXTS = {
     TRIP_OVERSPEED: "velocity beyond envelope.speed_limit_rps",
     TRIP_POSITION_WINDOW: "position outside envelope.position_window_rev",
     TRIP_FOLLOWING_ERROR: "velocity error beyond envelope.following_error_rps for longer than following_error_s",
+    TRIP_OSCILLATION: (
+        "the command reverses at its limit for longer than envelope.following_error_s: a resonance, a lost load or a "
+        "wrong model; diagnose the recording, and tune again"
+    ),
     TRIP_I2T: "I2t: continuous current exceeded for too long",
     TRIP_FEEDBACK_MISSING: "velocity feedback missing for envelope.feedback_missing_ticks periods",
     TRIP_STATUS_MISSING: "statusword missing for envelope.status_missing_ticks periods",
@@ -84,6 +89,7 @@ DEFAULT_REACTIONS = {
     TRIP_OVERSPEED: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_POSITION_WINDOW: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_FOLLOWING_ERROR: (REACTION_QUICK_STOP, _BRAKES),
+    TRIP_OSCILLATION: (REACTION_QUICK_STOP, _BRAKES),
     TRIP_I2T: (REACTION_QUICK_STOP, "braking takes little time compared with the thermal time constant"),
     TRIP_FEEDBACK_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
     TRIP_STATUS_MISSING: (REACTION_QUICK_STOP, _IN_CASE),
@@ -115,6 +121,9 @@ DEFAULT_REACTIONS = {
 }  # fmt: skip
 
 UNHEEDED_S = 0.125  # a drive may set bits 9 and 12 this much later than the state to which they belong
+# half a period of 10 Hz, the slowest oscillation that counts as one: a shorter pause between two excesses of the error,
+# or between two reversals at the limit, ends neither
+PAUSE_S = 0.05
 
 STATUS_INTERNAL_LIMIT = 1 << 11  # CiA 402, 0x6041
 STATUS_FAULT = 1 << 3
@@ -145,9 +154,13 @@ class EnvelopeState(NamedTuple):
 
     last_command_a: float
     i2t_a2s: float  # heat above the continuous current, A^2 s; a reset does not cool the motor
-    following_s: float  # how long the velocity error has been too large
+    following_s: float  # how long the velocity error has been too large, short pauses included
     was_enabled: bool
     unheeded_s: float  # how long the drive has reported that it ignores controlword or target
+    followed_s: float  # the pause: how long the error has been small again
+    limited_side: float  # sign of the command when it was last at its limit; 0.0: not yet
+    reversing_s: float  # how long the command has reversed at its limit, short pauses included
+    steady_s: float  # the pause: since the last reversal
 
 
 class EnvelopeInputs(NamedTuple):
@@ -173,18 +186,25 @@ class EnvelopeInputs(NamedTuple):
     local_control: bool  # the drive reports that it ignores the controlword
     ignores_target: bool  # it reports that it ignores 0x6071 while it is commanded
     skipped_ticks: int  # since the last step: deadlines missed, with the last command held
+    limited: bool  # whoever requests the command has cut it to a limit of its own
+
+
+@njit
+def envelope_with_heat(i2t_a2s: float) -> EnvelopeState:
+    """Memory at rest of a motor with this heat above its continuous current."""
+    return EnvelopeState(0.0, i2t_a2s, 0.0, False, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @njit
 def envelope_at_rest() -> EnvelopeState:
     """Memory before the first tick."""
-    return EnvelopeState(0.0, 0.0, 0.0, False, 0.0)
+    return envelope_with_heat(0.0)
 
 
 @njit
 def envelope_after_reset(state: EnvelopeState) -> EnvelopeState:
     """Memory after a reset: at rest, but with the I2t heat kept, or each reset would allow peak current again."""
-    return EnvelopeState(0.0, state.i2t_a2s, 0.0, False, 0.0)
+    return envelope_with_heat(state.i2t_a2s)
 
 
 @njit
@@ -225,7 +245,9 @@ def find_trip(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
         return TRIP_OVERSPEED
     if not config.position_low_rev <= seen.position_rev <= config.position_high_rev:
         return TRIP_POSITION_WINDOW
-    if state.following_s > config.following_error_s:
+    if state.reversing_s > config.following_error_s and state.steady_s == 0.0:
+        return TRIP_OSCILLATION
+    if state.following_s > config.following_error_s and state.followed_s == 0.0:
         return TRIP_FOLLOWING_ERROR
     if config.i2t_trips and state.i2t_a2s > i2t_capacity_a2s(config):
         return TRIP_I2T
@@ -269,19 +291,63 @@ def heat_after(config: EnvelopeConfig, heat_a2s: float, current_a: float, time_s
 
 
 @njit
+def lasting(lasts_s: float, pause_s: float, seen: bool, step_s: float) -> tuple[float, float]:
+    """How long something has lasted, pauses shorter than PAUSE_S included, and how long the present pause is.
+
+    An alternating error is below its limit twice a period, for a third of the time and more: that is a pause, no end.
+    """
+    if seen:
+        return lasts_s + step_s, 0.0
+    pause_s += step_s
+    if lasts_s == 0.0 or pause_s >= PAUSE_S:
+        return 0.0, 0.0
+    return lasts_s + step_s, pause_s
+
+
+@njit
+def side_at_limit(config: EnvelopeConfig, seen: EnvelopeInputs) -> float:
+    """Sign of a command that is at a limit: the controller's, the envelope's or the drive's own; 0.0 below them."""
+    limited = seen.limited or seen.statusword & STATUS_INTERNAL_LIMIT != 0
+    if not limited and abs(seen.requested_a) < config.current_limit_a:
+        return 0.0
+    return math.copysign(1.0, seen.requested_a)
+
+
+@njit
+def watch_loop(config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs, heat_a2s: float) -> EnvelopeState:
+    """Memory with this tick added: how long error, reversals at the limit and a drive that ignores us have lasted."""
+    step_s = (seen.skipped_ticks + 1) * config.period_s
+    following_s, followed_s, side, reversing_s, steady_s = 0.0, 0.0, 0.0, 0.0, 0.0
+    if seen.wanted and seen.closed_loop:
+        beyond = abs(seen.error_rps) > config.following_error_rps
+        following_s, followed_s = lasting(state.following_s, state.followed_s, beyond, step_s)
+        side = side_at_limit(config, seen)
+        reverses = side * state.limited_side < 0.0
+        side = state.limited_side if side == 0.0 else side
+        reversing_s, steady_s = lasting(state.reversing_s, state.steady_s, reverses, step_s)
+    unheeded_s = 0.0
+    if seen.wanted and (seen.local_control or seen.ignores_target):
+        unheeded_s = state.unheeded_s + step_s
+    return EnvelopeState(
+        state.last_command_a,
+        heat_a2s,
+        following_s,
+        state.was_enabled,
+        unheeded_s,
+        followed_s,
+        side,
+        reversing_s,
+        steady_s,
+    )
+
+
+@njit
 def envelope_step(
     config: EnvelopeConfig, state: EnvelopeState, seen: EnvelopeInputs
 ) -> tuple[float, int, int, EnvelopeState]:
     """Return (command_a, limits, trip, state). With a trip, or if no torque is requested, the command is 0."""
     held_s = seen.skipped_ticks * config.period_s
-    heat_a2s = heat_after(config, state.i2t_a2s, state.last_command_a, held_s)
-    following_s = 0.0
-    if seen.wanted and seen.closed_loop and abs(seen.error_rps) > config.following_error_rps:
-        following_s = state.following_s + held_s + config.period_s
-    unheeded_s = 0.0
-    if seen.wanted and (seen.local_control or seen.ignores_target):
-        unheeded_s = state.unheeded_s + held_s + config.period_s
-    state = EnvelopeState(state.last_command_a, heat_a2s, following_s, state.was_enabled, unheeded_s)
+    state = watch_loop(config, state, seen, heat_after(config, state.i2t_a2s, state.last_command_a, held_s))
 
     trip = find_trip(config, state, seen)
     command_a = 0.0
@@ -291,8 +357,17 @@ def envelope_step(
         if seen.statusword & STATUS_INTERNAL_LIMIT:
             limits |= LIMIT_DRIVE
 
-    heat_a2s = heat_after(config, heat_a2s, command_a, config.period_s)
-    after = EnvelopeState(command_a, heat_a2s, following_s, seen.wanted and seen.enabled, unheeded_s)
+    after = EnvelopeState(
+        command_a,
+        heat_after(config, state.i2t_a2s, command_a, config.period_s),
+        state.following_s,
+        seen.wanted and seen.enabled,
+        state.unheeded_s,
+        state.followed_s,
+        state.limited_side,
+        state.reversing_s,
+        state.steady_s,
+    )
     return command_a, limits, trip, after
 
 

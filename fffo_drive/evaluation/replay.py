@@ -45,6 +45,7 @@ from ..control.envelope import (
     envelope_after_reset,
     envelope_at_rest,
     envelope_step,
+    envelope_with_heat,
 )
 from ..control.feedforward import Reference
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
@@ -164,7 +165,7 @@ def _measured_in(row: Any) -> Measured:
 
 
 @njit
-def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> EnvelopeInputs:
+def _seen_in(row: Any, requested_a: float, limited: bool, wanted: bool, skipped_ticks: int) -> EnvelopeInputs:
     """Inputs of the envelope in the tick of this row."""
     flags = _int64(row["flags"])
     statusword = _int64(row["statusword"])
@@ -190,6 +191,7 @@ def _seen_in(row: Any, requested_a: float, wanted: bool, skipped_ticks: int) -> 
         flags & FLAG_LOCAL_CONTROL != 0,
         flags & FLAG_IGNORES_TARGET != 0,
         skipped_ticks,
+        limited,
     )
 
 
@@ -276,7 +278,7 @@ def replay_into(
                 if row["mode"] == MODE_CURRENT:
                     requested_a = row["requested_a"]
             skipped_ticks = _int64(row["tick"]) - tick - 1
-            seen = _seen_in(row, requested_a, wanted and trip == TRIP_NONE, skipped_ticks)
+            seen = _seen_in(row, requested_a, limited, wanted and trip == TRIP_NONE, skipped_ticks)
             command_a, limits, found, envelope = envelope_step(in_force.envelope, envelope, seen)
             if limits != 0:
                 controller = with_limited(controller, True)
@@ -302,7 +304,7 @@ def replay_into(
             known = not unpack_controller(in_force.parameters[parameters_at[k]]).adaptation.used
             controller, estimator = controller_at_rest(), estimator_at_rest()
             compensation_rest(effects_memory)
-            envelope = EnvelopeState(0.0, row["i2t_a2s"], 0.0, False, 0.0)
+            envelope = envelope_with_heat(row["i2t_a2s"])
         keep_command(commands_a, _int64(row["tick"]), row["current_command_a"])
         # another law may have tripped where the axis continued: from here on the recorded course is used
         trip, controlword, resetting_before = _int64(row["trip"]), _int64(row["controlword"]), resetting

@@ -416,6 +416,7 @@ def look(
         in_local_control(config.served_status_bits, feedback["statusword"]),
         law.mode != MODE_IDLE and ignores_target(config.served_status_bits, feedback["statusword"]),
         skipped_ticks,
+        law.terms.limited,
     )
 
 

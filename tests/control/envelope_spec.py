@@ -17,20 +17,24 @@ from fffo_drive.control import envelope as env
 PERIOD_S = 2.0**-11
 STEP_A = 2.0  # slew in a period
 CAPACITY_A2S = 150.0  # (10^2 - 5^2) 2 s
+PAUSE_S = 0.05  # half a period of 10 Hz
 UNHEEDED_S = 0.125  # a drive may set statusword bits 9 and 12 so much later than the state
-REACTIONS = np.zeros(19, dtype=np.int64)
+REACTIONS = np.zeros(20, dtype=np.int64)
 CONFIG = env.EnvelopeConfig(
     current_limit_a=10.0, slew_a_per_s=4096.0, speed_limit_rps=20.0, continuous_current_a=5.0, i2t_time_s=2.0,
     i2t_trips=True, position_low_rev=-3.0, position_high_rev=5.0, following_error_rps=2.0, following_error_s=2.0**-7,
     feedback_missing_ticks=10, status_missing_ticks=100, heartbeat_timeout_ns=500_000_000, period_s=PERIOD_S,
     reactions=REACTIONS,
 )  # fmt: skip
-REST = env.EnvelopeState(last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False, unheeded_s=0.0)
+REST = env.EnvelopeState(
+    last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False, unheeded_s=0.0, followed_s=0.0,
+    limited_side=0.0, reversing_s=0.0, steady_s=0.0,
+)  # fmt: skip
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
     statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_frames=0,
     heartbeat_age_ns=0, settings_changes=0, wanted=True, enabled=True, closed_loop=True, local_control=False,
-    ignores_target=False, skipped_ticks=0,
+    ignores_target=False, skipped_ticks=0, limited=False,
 )  # fmt: skip
 
 # one cause of each trip, most certain first; numbers as in recordings, so that they never change
@@ -52,6 +56,7 @@ CAUSES: tuple[tuple[int, dict[str, object], dict[str, object]], ...] = (
     (17, {"ignores_target": True}, {"unheeded_s": 0.125}),
     (2, {"velocity_rps": 20.5}, {}),
     (3, {"position_rev": 5.5}, {}),
+    (19, {"requested_a": -10.0}, {"limited_side": 1.0, "reversing_s": 2.0**-7}),
     (4, {"error_rps": 2.5}, {"following_s": 2.0**-7}),
     (5, {}, {"i2t_a2s": 151.0}),
 )
@@ -59,7 +64,8 @@ WITHOUT_TORQUE = (10, 15, 12, 9, 8, 14, 11, 18)  # also where no torque is wante
 
 
 def expected_trip(
-    config: env.EnvelopeConfig, heat_a2s: float, following_s: float, was_enabled: bool, unheeded_s: float, seen
+    config: env.EnvelopeConfig, heat_a2s: float, errs_s: float, reverses_s: float, was_enabled: bool,
+    unheeded_s: float, seen,
 ) -> int:  # fmt: skip
     """The most certain reason to stop, by the table of what is allowed."""
     numbers = (seen.requested_a, seen.error_rps, seen.velocity_rps, seen.position_rev)
@@ -81,7 +87,8 @@ def expected_trip(
         17: not (unheeded_s > UNHEEDED_S and not seen.local_control),
         2: -config.speed_limit_rps <= seen.velocity_rps <= config.speed_limit_rps,
         3: config.position_low_rev <= seen.position_rev and not seen.position_rev > config.position_high_rev,
-        4: not following_s > config.following_error_s,
+        19: not reverses_s > config.following_error_s,
+        4: not errs_s > config.following_error_s,
         5: not (config.i2t_trips and heat_a2s > capacity_a2s(config)),
     }
     for trip, fine in allowed.items():
@@ -102,6 +109,25 @@ def warmed(config: env.EnvelopeConfig, heat_a2s: float, current_a: float, time_s
     return after if after > 0.0 else 0.0
 
 
+def inside(value: float, bound: float) -> bool:
+    return -bound <= value <= bound
+
+
+def episode(before: tuple[float, float], seen: bool, step_s: float) -> tuple[float, float]:
+    """(how long, how long the present pause is) of what ends when it pauses for half a period of 10 Hz."""
+    lasts, pause = before[0] + step_s, 0.0 if seen else before[1] + step_s
+    goes_on = seen or (before[0] > 0.0 and pause < PAUSE_S)
+    return (lasts, pause) if goes_on else (0.0, 0.0)
+
+
+def side_of(config: env.EnvelopeConfig, seen: env.EnvelopeInputs) -> float:
+    """Which limit the command is at, whoever has it: -1, 1, or 0 for none."""
+    free = -config.current_limit_a < seen.requested_a < config.current_limit_a
+    if free and not seen.limited and (seen.statusword // 2048) % 2 == 0:
+        return 0.0
+    return math.copysign(1.0, seen.requested_a)
+
+
 def clipped(value: float, low: float, high: float) -> float:
     return sorted((low, value, high))[1]
 
@@ -110,13 +136,19 @@ def expected(config: env.EnvelopeConfig, state: env.EnvelopeState, seen: env.Env
     """(command_a, limits, trip, state) of one step."""
     held_s = config.period_s * seen.skipped_ticks
     heat = warmed(config, state.i2t_a2s, state.last_command_a, held_s)
-    beyond = seen.wanted and seen.closed_loop and not -config.following_error_rps <= seen.error_rps <= (
-        config.following_error_rps
-    )  # fmt: skip
-    lasting = state.following_s + held_s + config.period_s if beyond and not math.isnan(seen.error_rps) else 0.0
+    step_s = held_s + config.period_s
+    acts = seen.wanted and seen.closed_loop
+    beyond = math.isfinite(seen.error_rps) and not inside(seen.error_rps, config.following_error_rps)
+    beyond = beyond or math.isinf(seen.error_rps)
+    errs = episode((state.following_s, state.followed_s), beyond, step_s) if acts else (0.0, 0.0)
+    side = side_of(config, seen) if acts else 0.0
+    reverses = {side, state.limited_side} == {-1.0, 1.0}
+    turns = episode((state.reversing_s, state.steady_s), reverses, step_s) if acts else (0.0, 0.0)
+    side = (side or state.limited_side) if acts else 0.0
     silent = seen.wanted and (seen.local_control or seen.ignores_target)
     unheeded = state.unheeded_s + held_s + config.period_s if silent else 0.0
-    trip = expected_trip(config, heat, lasting, state.was_enabled, unheeded, seen)
+    now = [lasts if pause == 0.0 else 0.0 for lasts, pause in (errs, turns)]  # nothing trips in a pause
+    trip = expected_trip(config, heat, *now, state.was_enabled, unheeded, seen)
     command, limits = 0.0, 0
     if seen.wanted and trip == 0:
         hot = not config.i2t_trips and heat > capacity_a2s(config)
@@ -132,7 +164,10 @@ def expected(config: env.EnvelopeConfig, state: env.EnvelopeState, seen: env.Env
             + 16 * ((seen.statusword // 2048) % 2)
         )
     heat = warmed(config, heat, command, config.period_s)
-    return command, limits, trip, env.EnvelopeState(command, heat, lasting, seen.wanted and seen.enabled, unheeded)
+    after = env.EnvelopeState(
+        command, heat, errs[0], seen.wanted and seen.enabled, unheeded, errs[1], side, *turns
+    )  # fmt: skip
+    return command, limits, trip, after
 
 
 def around(edge: float, ulps: int = 3) -> list[float]:

@@ -14,7 +14,7 @@ CONFIG = env.EnvelopeConfig(
     10.0, 4000.0, 20.0, 5.0, 2.0, True, -3.0, 3.0, 2.0, 0.01, 10, 100, 500_000_000, PERIOD_S, env.default_reactions()
 )
 HEALTHY = env.EnvelopeInputs(
-    1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, 0, True, True, True, False, False, 0
+    1.0, 0.0, 0.0, 0.0, 0, 0, 0x0637, 0, 0, False, False, 0, 0, 0, True, True, True, False, False, 0, False
 )
 
 
@@ -102,9 +102,69 @@ def test_a_following_error_trips_only_when_it_lasts():
         trips.append(trip)
     first = trips.index(env.TRIP_FOLLOWING_ERROR)
     assert first * PERIOD_S == pytest.approx(0.01, abs=2 * PERIOD_S)
-    _, _, _, state = step(CONFIG, state, error_rps=1.9)
+    for _ in range(round(env.PAUSE_S / PERIOD_S)):
+        _, _, trip, state = step(CONFIG, state, error_rps=1.9)
+        assert trip == env.TRIP_NONE  # a pause is no reason
     assert state.following_s == 0.0
     assert step(CONFIG, env.envelope_at_rest()._replace(following_s=1.0), error_rps=9.0, closed_loop=False)[2] == 0
+
+
+@pytest.mark.parametrize("hz", [10.5, 40.0, 85.0, 300.0])
+@pytest.mark.parametrize("amplitude_rps", [2.2, 20.0])
+def test_an_alternating_error_trips_after_its_time(hz, amplitude_rps):
+    """It is below the limit twice a period, at the smaller amplitude for 73 % of the time."""
+    state, config = env.envelope_at_rest(), CONFIG._replace(following_error_s=0.2)
+    for tick in range(1000):
+        error_rps = amplitude_rps * math.sin(2 * math.pi * hz * (tick + 0.5) * PERIOD_S)
+        _, _, trip, state = step(config, state, error_rps=error_rps)
+        if trip:
+            break
+    first_s = math.asin(2.0 / amplitude_rps) / (2 * math.pi * hz)
+    assert trip == env.TRIP_FOLLOWING_ERROR
+    assert first_s + 0.2 - 2 * PERIOD_S <= tick * PERIOD_S <= first_s + 0.2 + 0.5 / hz + 2 * PERIOD_S
+
+
+def test_errors_that_come_seldom_are_forgotten():
+    """For a tenth of a second each time, every 0.15 s: no oscillation, and none lasts for its time."""
+    state, config = env.envelope_at_rest(), CONFIG._replace(following_error_s=0.12)
+    for tick in range(6000):
+        _, _, trip, state = step(config, state, error_rps=3.0 if tick % 300 < 199 else 0.0)
+        assert trip == env.TRIP_NONE
+
+
+def reversing(hz, config=CONFIG, seconds=1.0, **changes):
+    """Seconds until the trip of a command that is asked for now in one direction, now in the other."""
+    state = env.envelope_at_rest()
+    for tick in range(round(seconds / PERIOD_S)):
+        sign = 1.0 if (tick * PERIOD_S * hz) % 1.0 < 0.5 else -1.0
+        given = {"requested_a": 20.0, **changes}
+        given["requested_a"] *= sign
+        _, _, trip, state = step(config, state, **given)
+        if trip:
+            return trip, tick * PERIOD_S
+    return 0, math.inf
+
+
+@pytest.mark.parametrize("hz", [10.5, 85.0, 300.0])
+@pytest.mark.parametrize(
+    "changes", [{}, {"requested_a": 3.0, "limited": True}, {"requested_a": 3.0, "statusword": 0x0E37}]
+)
+def test_a_command_that_reverses_at_its_limit_trips(hz, changes):
+    """At the envelope's limit, the controller's, or the drive's (statusword bit 11)."""
+    config = CONFIG._replace(following_error_s=0.2)
+    trip, after_s = reversing(hz, config, **changes)
+    assert trip == env.TRIP_OSCILLATION
+    assert 0.2 <= after_s <= 0.2 + 1.0 / hz + 2 * PERIOD_S
+
+
+@pytest.mark.parametrize(
+    ("hz", "changes"),
+    [(85.0, {"requested_a": 9.9}), (9.0, {}), (85.0, {"closed_loop": False}), (0.0, {"requested_a": 20.0})],
+)
+def test_no_oscillation(hz, changes):
+    """Below the limit, slower than 10 Hz, an open loop, or always in one direction."""
+    config = CONFIG._replace(following_error_s=0.2, continuous_current_a=10.0)
+    assert reversing(hz, config, 3.0, **changes)[0] == env.TRIP_NONE
 
 
 @pytest.mark.parametrize(
@@ -141,7 +201,7 @@ def test_a_reset_does_not_cool_the_motor():
     state = env.envelope_at_rest()._replace(
         last_command_a=10.0, i2t_a2s=149.0, following_s=0.005, was_enabled=True, unheeded_s=0.1
     )
-    assert env.envelope_after_reset(state) == env.EnvelopeState(0.0, 149.0, 0.0, False, 0.0)
+    assert env.envelope_after_reset(state) == env.envelope_at_rest()._replace(i2t_a2s=149.0)
     # peak current cannot be had again by resetting: the time that it takes is that which it takes to cool
     ticks = [i2t_ticks(10.0, start=env.envelope_after_reset(state)), i2t_ticks(10.0)]
     assert ticks[0] < 0.02 * ticks[1]

@@ -52,9 +52,10 @@ def test_numbers_in_recordings_never_change():
     names = (
         "NONE", "NOT_A_NUMBER", "OVERSPEED", "POSITION_WINDOW", "FOLLOWING_ERROR", "I2T", "FEEDBACK_MISSING",
         "STATUS_MISSING", "DRIVE_FAULT", "EMERGENCY", "BUS_OFF", "HEARTBEAT", "REBOOT", "DRIVE_LEFT",
-        "NOT_OPERATIONAL", "FOREIGN_COMMAND", "LOCAL_CONTROL", "NOT_FOLLOWING", "SETTINGS_CHANGED", "COUNT",
+        "NOT_OPERATIONAL", "FOREIGN_COMMAND", "LOCAL_CONTROL", "NOT_FOLLOWING", "SETTINGS_CHANGED",
+        "OSCILLATION", "COUNT",
     )  # fmt: skip
-    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(20))
+    assert [getattr(env, f"TRIP_{name}") for name in names] == list(range(21))
     limits = ("CONTROLLER", "CURRENT", "SLEW", "I2T", "DRIVE")
     assert [getattr(env, f"LIMIT_{name}") for name in limits] == [1, 2, 4, 8, 16]
     assert (env.REACTION_COAST, env.REACTION_QUICK_STOP) == (0, 1)
@@ -65,12 +66,12 @@ def test_default_reactions():
     coast = {12}  # a drive that has restarted has no torque to brake with
     found = env.default_reactions()
     assert found.dtype == np.int64
-    assert found.tolist() == [0 if trip in coast else 1 for trip in range(19)]
+    assert found.tolist() == [0 if trip in coast else 1 for trip in range(20)]
 
 
 def test_memory_at_rest_and_after_a_reset():
     assert env.envelope_at_rest() == REST
-    warm = env.EnvelopeState(3.0, 120.0, 0.5, True, 0.1)
+    warm = env.EnvelopeState(3.0, 120.0, 0.5, True, 0.1, 0.01, -1.0, 0.2, 0.02)
     assert env.envelope_after_reset(warm) == REST._replace(i2t_a2s=120.0)
 
 
@@ -97,16 +98,23 @@ def mixtures(count: int, seed: int):
         "heartbeat_age_ns": [-1, 0, 499_999_999, 500_000_000, 500_000_001], "wanted": [True, True, False],
         "enabled": [True, True, False], "closed_loop": [True, False],
         "local_control": [False, False, True], "ignores_target": [False, False, True], "skipped_ticks": [0, 0, 1, 5],
+        "limited": [False, True],
     }  # fmt: skip
+    lasting = [0.0, *(time_s for time_s in around(2.0**-7 - PERIOD_S, 1) if time_s > 0.0)]
+    pauses = [0.0, 0.0, 0.01, *(time_s for time_s in around(0.05 - PERIOD_S, 1) if time_s > 0.0)]
     for _ in range(count):
         names = pick.sample(sorted(values), 4)
         seen = HEALTHY._replace(**{name: pick.choice(values[name]) for name in names})
         state = env.EnvelopeState(
             pick.choice([0.0, 1.0, -9.5, 10.0, 14.0]),
             pick.choice([0.0, 1e-3, *around(CAPACITY_A2S, 1)]),
-            pick.choice([0.0, *around(2.0**-7 - PERIOD_S, 1)]),
+            pick.choice(lasting),
             pick.choice([False, True]),
             pick.choice([0.0, *around(0.125 - PERIOD_S, 1)]),
+            pick.choice(pauses),
+            pick.choice([-1.0, 0.0, 1.0]),
+            pick.choice(lasting),
+            pick.choice(pauses),
         )
         changes = {"i2t_trips": pick.choice([True, False]), "heartbeat_timeout_ns": pick.choice([0, 500_000_000])}
         yield CONFIG._replace(**changes), state, seen

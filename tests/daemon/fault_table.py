@@ -24,6 +24,8 @@ LONGEST_PART_S = 400.0
 
 QUICK_MS = 255.0  # from 10 rps on the drive's quick stop ramp (0x6085)
 COAST_MS = 425.0  # by its friction alone
+OSCILLATING_MS = 301.0  # following_error_s, and a tenth of a second
+FROM_ANY_SPEED_MS = 350.0  # quick stop from up to three times as fast
 
 
 class Row(NamedTuple):
@@ -42,6 +44,11 @@ def stops(name: str, what: str, by: str, how: str, torque_ms: float, script: str
     """A row in which the axis stops: what the reaction takes comes on top of what the noticing takes."""
     longest = QUICK_MS if how.startswith(QUICK) else COAST_MS
     return Row(name, what, by, how, torque_ms, torque_ms + longest, script or name)
+
+
+def oscillates(name: str, what: str, by: str) -> Row:
+    """A row whose times count from the first tick at the current limit, or with an error beyond its limit."""
+    return Row(name, what, by, LATCHED, OSCILLATING_MS, OSCILLATING_MS + FROM_ANY_SPEED_MS, name)
 
 
 FOREIGN = "the envelope: a frame that only we may send"
@@ -115,6 +122,16 @@ ROWS: tuple[Row, ...] = (
     stops("overspeed", "velocity beyond speed_limit_rps", "the envelope", LATCHED, 1),
     stops("position_window", "position outside position_window_rev", "the envelope", LATCHED, 1),
     stops("i2t", "continuous current exceeded for too long", "the envelope", LATCHED, 1),
+    oscillates("lost_load", "three quarters of the inertia are lost: the loop has four times its gain",
+               "the envelope: following_error, which an alternating error does not reset"),
+    oscillates("lost_load_wide_limit", "the same where following_error_rps is three times as large",
+               "the envelope: oscillation, a command that reverses at its limit"),
+    oscillates("loose_coupling", "the coupling to three quarters of the inertia gets a gap of 0.2 rev",
+               "the envelope: following_error"),
+    oscillates("wrong_inertia", "gains for four times the inertia are set", "the envelope: oscillation"),
+    oscillates("wrong_sign", "the drive turns the sign of the torque", "the envelope: overspeed"),
+    oscillates("resonance", "the stiffness of a joint falls: its resonance, of half the inertia, from 400 to 110 Hz",
+               "the envelope: overspeed"),
     Row("clock_stepped", "the wall clock is stepped", "nobody: the loop reads CLOCK_MONOTONIC alone", "goes on",
         script="clock_stepped"),
     Row("sdo_timeout", "the drive does not answer SDO in bring-up", "the supervisor",
@@ -147,7 +164,9 @@ HEAD = """\
 Made by `tools/fault_table` from the rows of `tests/daemon/fault_table.py`; a test reproduces each. The axis turns at
 10 rps at 2 kHz; limits and timeouts are those of `tests/bad_days/axis.yaml`. Times are on the simulated drive's own
 clock, from the start of the fault: the bound, and in brackets the measured value. *Torque ends* when no torque that
-this program commanded acts any more; during a quick stop the drive brakes with its own torque. Faults latch: only
+this program commanded acts any more; during a quick stop the drive brakes with its own torque. For a loop that
+oscillates or runs away they count from the first tick at the current limit, or with an error beyond
+`following_error_rps`, which comes before the trip by `following_error_s` (200 ms) at most. Faults latch: only
 `reset_fault` clears them, and torque needs another `enable`.
 
 | fault | who notices | what happens | torque ends, ms | standstill, ms |

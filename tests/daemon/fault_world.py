@@ -11,8 +11,10 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
 from bad_days.loop_days import ENETDOWN, put_into
 from bad_days.world import (
     HEARTBEAT,
@@ -29,15 +31,20 @@ from bad_days.world import (
     ramp_to,
 )  # fmt: skip
 from daemon.fault_table import PARTS
+from interpreted import TESTS
 
-from fffo_drive.can.frame import ERROR_BUS_OFF, NMT, Frame, pack_frame
+from fffo_drive.can.frame import ERROR_BUS_OFF, NMT, Frame, pack_frame, unpack_frame
 from fffo_drive.canopen_node.nmt import NmtState
-from fffo_drive.control.envelope import EnvelopeConfig
+from fffo_drive.config.axis import controller_config, read_axis
+from fffo_drive.control.envelope import LIMIT_CONTROLLER, EnvelopeConfig
+from fffo_drive.drive.simulated import state as plant_numbers
 from fffo_drive.drive.simulated.cia402_device import OPERATION_ENABLED, STATE_NAMES
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.drive.simulated.node.faults import Fault, FaultKind
 from fffo_drive.drive.simulated.node.personality import Personality
 from fffo_drive.drive.simulated.node.simulated_plant import SimulatedPlant
+from fffo_drive.drive.simulated.parameters import EffectConfig
+from fffo_drive.model.parameters import read_model
 from fffo_drive.runtime import blocks as b
 
 SPEED_RPS, STEP_RPS = 10.0, 0.05  # 100 rps^2
@@ -45,6 +52,7 @@ BEGIN, TICKS, LONG = 300, 1250, 2000
 SLICE_NS = 500_000
 SILENCE = 300  # ticks without a sign of life of the supervisor
 AFTERWARDS_NS = 300 * NS_PER_MS
+EXCESS_RPS = 8.0  # following_error_rps of the axis file
 STANDSTILL_RPS = 0.05
 OUR_HEARTBEAT = 0x700 + 127
 
@@ -52,13 +60,14 @@ OUR_HEARTBEAT = 0x700 + 127
 class FaultWorld(World):
     """A world that looks at the drive every half millisecond of its clock."""
 
-    def __init__(self, keeps_torque: bool = False) -> None:
+    def __init__(self, keeps_torque: bool = False, effects: tuple[EffectConfig, ...] = ()) -> None:
         self.began_ns = 0
         self.ours_ns = 0  # when torque of ours acted last
         self.moving_ns = 0  # when the shaft moved last
         self.fastest_rps = 0.0
         self.answers: list[int] = []  # error codes of the drive's EMCY, after the fault began
         config = NodeConfig(sync_loss_tolerance_ms=50, personality=Personality(keeps_torque=keeps_torque))
+        config = replace(config, plant=replace(config.plant, effects=effects))
         super().__init__(SimulatedPlant(config.plant), config)
         deliver = self.to_host
 
@@ -109,6 +118,10 @@ class Script(NamedTuple):
     ticks: int = TICKS
     supervisor_ticks: int = 0
     keeps_torque: bool = False  # the drive, when it leaves NMT operational
+    effects: tuple[EffectConfig, ...] = ()  # of the plant
+    from_excess: bool = (
+        False  # times count from the first tick at the current limit, or with an error beyond EXCESS_RPS
+    )
 
     @property
     def ending(self) -> dict[str, int]:
@@ -265,6 +278,55 @@ def limit(**changes: Any) -> Script:
     return Script(lambda world: None, lambda config: config._replace(**changes))
 
 
+def lose_load(world: FaultWorld) -> None:
+    """Three quarters of the inertia are gone: the loop has four times its gain."""
+    world.node.drive.plant._parameters.numbers[plant_numbers.SPEED_PER_TORQUE] *= 4.0
+
+
+def effect_becomes(parameter: int, value: float) -> Prepare:
+    """A parameter of the plant's only effect changes."""
+
+    def change(world: FaultWorld) -> None:
+        world.node.drive.plant._parameters.effect_parameters.reshape(-1)[parameter] = value
+
+    return at_begin(change)
+
+
+def gains_for_four_times_the_inertia(world: FaultWorld) -> None:
+    """As `set` or a reload puts them into force."""
+    axis = read_axis(TESTS / "bad_days" / "axis.yaml")
+    gains = {"proportional_a_per_rps": 3.9, "integral_a_per_rev": 39.0}
+    section = axis.controller.model_copy(update=gains)
+    model = read_model(TESTS / "bad_input" / "files" / "model.yaml")
+    b.publish_controller(world.blocks, controller_config(axis.model_copy(update={"controller": section}), model))
+
+
+def torque_reversed(world: FaultWorld) -> None:
+    """The drive turns the sign of 0x6071, as after a change of 0x607E: the loop feeds back with the wrong sign."""
+    wire = world.to_drive
+
+    def turned(frame: Frame, raw: bytes, flight_ns: int) -> list[tuple[int, bytes]]:
+        if frame.can_id == RPDO1:
+            torque = -int.from_bytes(frame.data[2:4], "little", signed=True)
+            raw = pack_frame(RPDO1, frame.data[:2] + torque.to_bytes(2, "little", signed=True))
+        return wire(unpack_frame(raw), raw, flight_ns)
+
+    world.to_drive = turned
+
+
+def effect(name: str, **parameters: float) -> tuple[EffectConfig, ...]:
+    """The plant's only effect."""
+    return (EffectConfig(name, parameters),)
+
+
+def oscillates(prepare: Prepare, effects: tuple[EffectConfig, ...] = (), **changes: Any) -> Script:
+    """A loop that begins to oscillate, or to run away, at tick BEGIN; times count from the first excess."""
+    return Script(prepare, lambda config: config._replace(**changes), LONG, effects=effects, from_excess=True)
+
+
+COUPLING = effect("backlash", gap_rev=1e-6, load_share=0.75, friction_share=0.3, contact_hz=250.0)
+STIFF_JOINT = effect("elasticity", load_share=0.5, frequency_hz=400.0, damping=0.01)
+
 SCRIPTS: dict[str, Script] = {
     "host_silent": Script(host_stops(400 * NS_PER_MS)),
     "host_pauses": Script(host_stops(5 * NS_PER_MS), ticks=600),
@@ -302,6 +364,12 @@ SCRIPTS: dict[str, Script] = {
     "overspeed": limit(speed_limit_rps=9.0),
     "position_window": limit(position_high_rev=0.5),
     "i2t": limit(continuous_current_a=0.1, i2t_time_s=0.0003),
+    "lost_load": oscillates(at_begin(lose_load)),
+    "lost_load_wide_limit": oscillates(at_begin(lose_load), following_error_rps=24.0, speed_limit_rps=40.0),
+    "loose_coupling": oscillates(effect_becomes(0, 0.2), COUPLING),
+    "wrong_inertia": oscillates(at_begin(gains_for_four_times_the_inertia)),
+    "wrong_sign": oscillates(at_begin(torque_reversed)),
+    "resonance": oscillates(effect_becomes(1, 110.0), STIFF_JOINT),
 }
 
 
@@ -320,7 +388,7 @@ class Outcome(NamedTuple):
 def live_through(name: str) -> Outcome:
     """One fault, from a turning axis to its end."""
     script = SCRIPTS[name]
-    world = FaultWorld(script.keeps_torque)
+    world = FaultWorld(script.keeps_torque, script.effects)
     script.prepare(world)
     by_a_limit = not (world.at or world.stalls)
     if by_a_limit:  # looked at from the beginning; the fault begins with the row that breaks the limit
@@ -331,7 +399,14 @@ def live_through(name: str) -> Outcome:
         day = live(world, script.ticks, profile=profile, change=script.envelope, **script.ending)
     finally:
         time.time, time.time_ns = clocks
-    began_ns = int(day.rows["deadline_ns"][(day.rows["trip"] != 0).argmax()]) if by_a_limit else world.began_ns
+    began_ns = world.began_ns
+    if by_a_limit:
+        began_ns = int(day.rows["deadline_ns"][(day.rows["trip"] != 0).argmax()])
+    if script.from_excess:
+        error_rps = np.abs(day.rows["expected_rps"] - day.rows["velocity_rps"])
+        at_limit = day.rows["limits"] & LIMIT_CONTROLLER != 0
+        after = np.arange(day.rows.size) >= BEGIN
+        began_ns = int(day.rows["deadline_ns"][(after & (at_limit | (error_rps > EXCESS_RPS))).argmax()])
     return Outcome(
         name,
         day.trip,

@@ -54,7 +54,7 @@ CONSTANTS: tuple[tuple[ModuleType, tuple[str, ...]], ...] = (
     (port_memory, ()),
     (frame, ()),
     (cia402, ("STATE_", "CONTROL_", "GOAL_", "STATUS_", "NOT_READY_")),
-    (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_", "UNHEEDED_")),
+    (envelope, ("LIMIT_", "TRIP_", "REACTION_", "STATUS_", "UNHEEDED_", "PAUSE_")),
     (object_map, ("FIELD_",)),
     (service_queue, ("SLOTS", "HEAD", "TAIL", "CYCLE_NS", "MAX_AGE_NS", "SENT_ASIDE", "LOOP_REQUESTS")),
     (receiving, ("SECOND_",)),

@@ -356,7 +356,9 @@ static int64_t find_trip(const struct envelope_config *c, const struct envelope_
         return TRIP_OVERSPEED;
     if (!(c->position_low_rev <= seen->position_rev && seen->position_rev <= c->position_high_rev))
         return TRIP_POSITION_WINDOW;
-    if (state->following_s > c->following_error_s)
+    if (state->reversing_s > c->following_error_s && state->steady_s == 0.0)
+        return TRIP_OSCILLATION;
+    if (state->following_s > c->following_error_s && state->followed_s == 0.0)
         return TRIP_FOLLOWING_ERROR;
     if (c->i2t_trips && state->i2t_a2s > i2t_capacity_a2s(c))
         return TRIP_I2T;
@@ -388,17 +390,42 @@ static double heat_after(const struct envelope_config *c, double heat_a2s, doubl
     return larger(0.0, heat_a2s + excess_a2 * time_s);
 }
 
+static void lasting(double *lasts_s, double *pause_s, bool seen, double step_s)
+{
+    double pause = seen ? 0.0 : *pause_s + step_s;
+    bool over = !seen && (*lasts_s == 0.0 || pause >= PAUSE_S);
+    *lasts_s = over ? 0.0 : *lasts_s + step_s;
+    *pause_s = over ? 0.0 : pause;
+}
+
+static void watch_loop(const struct envelope_config *c, struct envelope_state *state,
+                       const struct envelope_inputs *seen, double step_s)
+{
+    bool acts = seen->wanted && seen->closed_loop;
+    if (acts) {
+        lasting(&state->following_s, &state->followed_s, fabs(seen->error_rps) > c->following_error_rps, step_s);
+        bool limited = seen->limited || (seen->statusword & STATUS_INTERNAL_LIMIT);
+        double side = 0.0;
+        if (limited || !(fabs(seen->requested_a) < c->current_limit_a))
+            side = copysign(1.0, seen->requested_a);
+        bool reverses = side * state->limited_side < 0.0;
+        if (side != 0.0)
+            state->limited_side = side;
+        lasting(&state->reversing_s, &state->steady_s, reverses, step_s);
+    } else {
+        state->following_s = state->followed_s = 0.0;
+        state->limited_side = state->reversing_s = state->steady_s = 0.0;
+    }
+    bool unheeded = seen->wanted && (seen->local_control || seen->ignores_target);
+    state->unheeded_s = unheeded ? state->unheeded_s + step_s : 0.0;
+}
+
 static double envelope_step(const struct envelope_config *c, struct envelope_state *state,
                             const struct envelope_inputs *seen, int64_t *limits, int64_t *trip)
 {
     double held_s = (double)seen->skipped_ticks * c->period_s;
     state->i2t_a2s = heat_after(c, state->i2t_a2s, state->last_command_a, held_s);
-    double following_s = 0.0;
-    if (seen->wanted && seen->closed_loop && fabs(seen->error_rps) > c->following_error_rps)
-        following_s = state->following_s + held_s + c->period_s;
-    state->following_s = following_s;
-    bool unheeded = seen->wanted && (seen->local_control || seen->ignores_target);
-    state->unheeded_s = unheeded ? state->unheeded_s + held_s + c->period_s : 0.0;
+    watch_loop(c, state, seen, (double)(seen->skipped_ticks + 1) * c->period_s);
     *trip = find_trip(c, state, seen);
     *limits = 0;
     double command_a = 0.0;

@@ -216,6 +216,7 @@ static struct envelope_inputs look(const struct feedback *feedback, const struct
         .ignores_target = law->mode != MODE_IDLE && config->served_status_bits & STATUS_FOLLOWS_COMMAND &&
                           !(feedback->statusword & (STATUS_FOLLOWS_COMMAND | STATUS_INTERNAL_LIMIT)),
         .skipped_ticks = skipped_ticks,
+        .limited = law->terms.limited,
     };
 }
 
