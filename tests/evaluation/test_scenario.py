@@ -206,9 +206,9 @@ def test_recordings_are_evaluated_by_controller(tmp_path, capsys):
     capsys.readouterr()
     assert main(["evaluate", "--runs", *runs, "--out", str(tmp_path / "out"), "--json"]) == 0
     results = json.loads(capsys.readouterr().out)
-    assert results["controllers"] == ["pi", "pi+fffo"]
+    assert results["controllers"] == ["pi+", "pi+fffo+"]  # the file's law has the feed-forward parts
     mae = results["figures"]["measured.mae"]
-    assert mae["pi+fffo"]["value"] < mae["pi"]["value"]
+    assert mae["pi+fffo+"]["value"] < mae["pi+"]["value"]
 
 
 @pytest.mark.slow
