@@ -17,6 +17,7 @@ from fffo_drive.drive.canopen.emergency import (
     emergency_text,
     inputs_text,
     register_text,
+    standing,
     statusword_text,
 )
 from fffo_drive.drive.canopen.service import Emergency
@@ -73,7 +74,7 @@ def test_a_drive_says_its_last_emergency_its_error_code_and_its_state(config):  
         said = drive.fault_words()
     assert said == (
         "EMCY 0x7305 (incremental sensor 1), error register 0x81 (generic, manufacturer), vendor bytes 61 62 63 64 65; "
-        "0x603F 0x7305 (incremental sensor 1); statusword 0x0218: fault"
+        "statusword 0x0218: fault"
     )
 
 
@@ -102,12 +103,12 @@ def test_everything_that_the_drive_has_is_reported_and_a_drive_that_has_nothing_
     drive = CanopenDrive(config)
     with ScriptedNode(config.bus, NODE, objects), drive:
         assert drive.fault_words(0x0250) == (
-            "0x603F says no error; "
-            "0x1003, newest first: 0x7305 (incremental sensor 1) with 0x0012, 0x3220 (DC link under-voltage), "
-            "0x8611 (following error); statusword 0x0050: switch on disabled; "
+            "0x603F says no error; statusword 0x0050: switch on disabled; "
             "bit 9 is 0: the drive is in local control and ignores our controlword; "
             "last statusword received 0x0250: switch on disabled; "
-            "0x60FD 0x00000008 (interlock (STO, enable)); DC link 24.1 V (0x6079)"
+            "0x60FD 0x00000008 (interlock (STO, enable)); DC link 24.1 V (0x6079); "
+            "earlier, by 0x1003, newest first: 0x7305 (incremental sensor 1) with 0x0012, "
+            "0x3220 (DC link under-voltage), 0x8611 (following error)"
         )
         assert drive.fault_words(0x0250, ask=False) == "last statusword received 0x0250: switch on disabled"
         drive.port.feedback["statusword"], drive.port.feedback["status_tick"] = 0x0218, 3
@@ -140,19 +141,65 @@ def at(seconds, code, register=0x01, vendor=bytes(5)):
     return Emergency(round(seconds * NS_PER_S), code, register, vendor)
 
 
-def test_of_a_burst_all_are_reported_and_what_is_old_has_its_age():
+def told(heard, warning_codes=(), now_s=50.5):
+    now_ns = round(now_s * NS_PER_S)
+    return burst_text(standing(heard, warning_codes, now_ns), now_ns)
+
+
+def test_of_a_burst_all_are_reported_newest_first_and_what_is_old_has_its_age():
     heard = [at(1.0, 0x2310), at(50.0, 0x3220), at(50.2, 0x8611), at(50.3, 0), at(50.4, 0xFF00)]
-    now_ns = round(50.5 * NS_PER_S)
-    codes = [text.split()[1] for text in burst_text(heard, (0xFF00,), now_ns)]
-    assert codes == ["0x3220", "0x8611"]
-    assert burst_text(heard[:1], (), round(13.0 * NS_PER_S))[0].endswith("12 s ago")
-    assert burst_text([at(1.0, 0)], (), now_ns) == []
-    assert burst_text([], (), now_ns) == []
+    assert [text.split()[1] for text in told(heard, (0xFF00,))] == ["0x8611", "0x3220"]
+    assert told(heard[:1], now_s=13.0)[0].endswith("12 s ago")
+    assert told([at(1.0, 0)]) == told([]) == []
+
+
+def test_the_same_emergency_is_told_once_and_the_newest_reason_first():
+    heard = [at(50.0 + 0.1 * n, 0x8130) for n in range(3)] + [at(50.4, 0x3220)]
+    first, second = told(heard)
+    assert first.startswith("EMCY 0x3220")
+    assert second.startswith("EMCY 0x8130")
+    assert second.endswith(", 3 times")
+
+
+def test_what_the_drive_has_called_off_is_no_reason_any_more():
+    heard = [at(1.0, 0x8130), at(1.1, 0)]
+    assert told(heard, now_s=2.0)[0].startswith("EMCY 0x8130")  # a moment ago: it may be the reason
+    assert told(heard, now_s=10.0) == []
+    assert [text.split()[1] for text in told([*heard, at(9.5, 0x3220)], now_s=10.0)] == ["0x3220"]
+
+
+def test_what_the_drive_said_before_it_was_connected_is_told_only_while_it_is_in_fault(config):  # noqa: F811
+    class Grumbling(ScriptedNode):
+        """Sends the error of the run before after each reset."""
+
+        def _nmt(self, command):
+            super()._nmt(command)
+            if command == 0x82:
+                self.send(0x080 + NODE, struct.pack("<HB5s", 0x8130, 0x11, bytes(5)))
+
+    objects = servo_dictionary(NODE) | {
+        (0x603F, 0): struct.pack("<H", 0x8130), (0x1003, 0): b"\x03",
+        **{(0x1003, sub): struct.pack("<I", code) for sub, code in ((1, 0x8130), (2, 0x8130), (3, 0x3220))},
+    }  # fmt: skip
+    drive = CanopenDrive(config)
+    old, in_fault, enabled = "EMCY 0x8130", 0x0218, 0x1237
+    with Grumbling(config.bus, NODE, objects) as node, drive:
+        node.objects[0x6041, 0] = struct.pack("<H", enabled)
+        assert old not in drive.fault_words(enabled)
+        node.objects[0x6041, 0] = struct.pack("<H", in_fault)
+        assert old in drive.fault_words(enabled)  # in fault since then
+        node.link.send(pack_frame(0x080 + NODE, struct.pack("<HB5s", 0x7305, 0x81, bytes(5))))
+        assert drive._service.wait_until(lambda: drive.emergencies[-1].code == 0x7305, 2.0)
+        said = drive.fault_words(in_fault)
+    assert said.startswith("EMCY 0x7305")
+    assert old not in said
+    assert said.count("0x8130") == 1  # of 0x603F
+    assert said.endswith("earlier, by 0x1003, newest first: 0x3220 (DC link under-voltage)")
 
 
 def test_an_emergency_without_an_error_in_its_register_names_the_key_for_warnings():
-    assert "drive.warning_codes: [0xFF00]" in burst_text([at(1.0, 0xFF00, 0)], (), NS_PER_S)[0]
-    assert "warning_codes" not in burst_text([at(1.0, 0xFF00, 1)], (), NS_PER_S)[0]
+    assert "drive.warning_codes: [0xFF00]" in told([at(1.0, 0xFF00, 0)], now_s=1.0)[0]
+    assert "warning_codes" not in told([at(1.0, 0xFF00, 1)], now_s=1.0)[0]
 
 
 def test_a_warning_is_reported_once_and_the_same_one_several_times_in_one_sentence():

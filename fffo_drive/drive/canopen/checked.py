@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..port import DriveRefusedError
-from .service import READ_ONLY, Kept, SdoRefusedError, Service, object_name, shown_value
+from .object_map import object_name
+from .service import READ_ONLY, Kept, SdoRefusedError, Service, shown_value
 
 
 def write_checked(

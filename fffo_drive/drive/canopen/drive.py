@@ -16,13 +16,13 @@ from ...can.bpf import CanFilter
 from ...can.frame import pack_frame
 from ...can.lease import BusHeldError, BusLease
 from ...can.link import Link, LinkError, open_link
-from ..cia402 import CONTROL_DISABLE_VOLTAGE
+from ..cia402 import CONTROL_DISABLE_VOLTAGE, STATUS_FAULT
 from ..port import BusOccupiedError, BusUnavailableError, DriveError, DriveIdentity, DriveRefusedError
 from .bring_up import bring_up, start
 from .config import ONE_MASTER, CanopenDriveConfig
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
-from .emergency import WarningNews, asked_words, burst_text, statusword_text
+from .emergency import AskedWords, WarningNews, asked_words, burst_text, standing, statusword_text
 from .listening import Listening, foreign_text, masters_frames, state_name
 from .object_lengths import lengths_of
 from .object_map import CONTROLWORD, STATUSWORD, command_payload
@@ -58,6 +58,7 @@ class CanopenDrive:
         self._settings: SettingsWatch | None = None
         self._said_state = STATE_OPERATIONAL  # of NMT
         self._said_second = False
+        self._connected_ns = 0  # monotonic; what the drive has said before is old
 
     def listen(self) -> None:
         """Take the lease of the bus and start to listen for other masters; `connect` does it if it was not done
@@ -122,6 +123,7 @@ class CanopenDrive:
             self._leave()
             raise
         self.identity = identity
+        self._connected_ns = time.monotonic_ns()
         return identity
 
     def _check_identity(self, identity: DriveIdentity) -> None:
@@ -185,29 +187,33 @@ class CanopenDrive:
         Frames of somebody else and changed settings, EMCY, the statusword (`statusword`, or the last one received, and
         said to be that). With `ask` it is read anew by SDO, and so are 0x603F, 0x1003, 0x60FD (limit switches,
         interlock) and 0x6079 (DC link), which takes `answer_timeout_s` where nobody answers; a drive that does not
-        answer SYNC has the time of a heartbeat to say its NMT state.
+        answer SYNC has the time of a heartbeat to say its NMT state. The newest reason comes first.
         """
         service, port = self._service, self._port
         if service is None:
             return ""
-        found = self._meddling()
-        emergencies = burst_text(list(service.emergencies), self.config.warning_codes, time.monotonic_ns())
-        errors: list[str] = []
-        supplies: list[str] = []
+        if statusword is None and port is not None and port.feedback["status_tick"][0] >= 0:
+            statusword = int(port.feedback["statusword"][0])
+        found, now_ns = self._meddling(), time.monotonic_ns()
+        errors, asked = self._errors(service, statusword, now_ns), AskedWords([], [], [])
         now: int | None = None
         if ask:
             with contextlib.suppress(DriveError):
                 now = self._read_statusword(service)
-                errors, supplies = asked_words(service, heard=bool(emergencies))
+                errors = self._errors(service, statusword if now is None else now, now_ns)
+                asked = asked_words(service, [one.code for one in errors])
             found += self._nmt_words(service)
-        if statusword is None and port is not None and port.feedback["status_tick"][0] >= 0:
-            statusword = int(port.feedback["statusword"][0])
         unserved = self.config.unserved_status_bits
-        if now is not None:
-            errors.append(statusword_text(now, unserved))
+        states = [] if now is None else [statusword_text(now, unserved)]
         if statusword is not None and statusword != now:
-            errors.append(statusword_text(statusword, unserved, "last statusword received"))
-        return "; ".join([*found, *emergencies, *errors, *supplies])
+            states.append(statusword_text(statusword, unserved, "last statusword received"))
+        return "; ".join([*found, *burst_text(errors, now_ns), *asked.error, *states, *asked.supplies, *asked.history])
+
+    def _errors(self, service: Service, statusword: int | None, now_ns: int) -> list[Emergency]:
+        """EMCY that may be the reason, newest first: those from before the connection only of a drive in fault."""
+        errors = standing(list(service.emergencies), self.config.warning_codes, now_ns)
+        since = [one for one in errors if one.monotonic_ns >= self._connected_ns]
+        return since if since or (statusword is not None and not statusword & STATUS_FAULT) else errors
 
     def _meddling(self) -> list[str]:
         """What somebody else has sent in our name, or changed in the drive."""

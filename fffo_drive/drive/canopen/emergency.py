@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from ...units import NS_PER_S
 from ..cia402 import (
@@ -115,34 +116,62 @@ def inputs_text(inputs: int) -> str:
     return f"0x60FD 0x{inputs:08X} ({', '.join(names) or 'no limit switch, no interlock'})"
 
 
-def burst_text(emergencies: Iterable[Emergency], warning_codes: Sequence[int], now_ns: int) -> list[str]:
-    """The last EMCY with an error, and those just before it, oldest first: one cause often sends several."""
-    errors = [one for one in emergencies if one.code and one.code not in warning_codes]
+def standing(emergencies: Iterable[Emergency], warning_codes: Sequence[int], now_ns: int) -> list[Emergency]:
+    """EMCY with an error, newest first. One that the drive has called off (code 0) stands for OLD_NS more."""
+    found: list[Emergency] = []
+    for one in emergencies:
+        if one.code == 0:
+            found = [error for error in found if now_ns - error.monotonic_ns <= OLD_NS]
+        elif one.code not in warning_codes:
+            found.append(one)
+    return found[::-1]
+
+
+def burst_text(errors: Sequence[Emergency], now_ns: int) -> list[str]:
+    """The last EMCY of `errors` (newest first), then those just before it: one cause often sends several. Each once."""
+    counted = Counter(one._replace(monotonic_ns=0) for one in errors)
+    newest: dict[Emergency, int] = {}  # without its time -> when it last came
+    for one in errors:
+        if errors[0].monotonic_ns - one.monotonic_ns <= BURST_NS:
+            newest.setdefault(one._replace(monotonic_ns=0), one.monotonic_ns)
     found = []
-    for one in errors[-LONGEST_BURST:]:
-        if errors[-1].monotonic_ns - one.monotonic_ns > BURST_NS:
-            continue
-        age_ns = now_ns - one.monotonic_ns
+    for one, heard_ns in list(newest.items())[:LONGEST_BURST]:
+        age_ns = now_ns - heard_ns
+        count = f", {counted[one]} times" if counted[one] > 1 else ""
         age = f", {age_ns / NS_PER_S:.0f} s ago" if age_ns > OLD_NS else ""
         hint = "" if one.error_register else f"; if it only warns: drive.warning_codes: [0x{one.code:04X}]"
-        found.append(emergency_text(one) + age + hint)
+        found.append(emergency_text(one) + count + age + hint)
     return found
 
 
-def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
-    """Read by SDO: error code and history; inputs and DC link. Whatever the drive lacks or refuses is left out.
+class AskedWords(NamedTuple):
+    """What a drive answers when it is asked about a fault; each empty where it has nothing to say."""
 
-    `heard`: an EMCY has already reported the error, so "no error" is omitted. Raises BusUnavailableError.
+    error: list[str]  # 0x603F
+    supplies: list[str]  # inputs and DC link
+    history: list[str]  # 0x1003
+
+
+def asked_words(service: Service, heard: Sequence[int]) -> AskedWords:
+    """Read by SDO. Whatever the drive lacks or refuses is left out, and so are codes that an EMCY has told (`heard`).
+
+    Raises BusUnavailableError.
     """
-    errors, supplies = [], []
+    error, supplies, history = [], [], []
+    told = list(heard)
     with contextlib.suppress(DriveRefusedError):
         code = service.read_optional_int(ERROR_CODE, 0)
-        if code or (code is not None and not heard):
-            errors.append(f"0x603F {code_text(code)}" if code else "0x603F says no error")
+        if code and code not in told:
+            error.append(f"0x603F {code_text(code)}")
+            told.append(code)
+        elif code == 0 and not told:
+            error.append("0x603F says no error")
     with contextlib.suppress(DriveRefusedError):
-        history = _history(service)
-        if history:
-            errors.append(f"0x1003, newest first: {', '.join(history)}")
+        entries = [entry for entry in _history(service) if entry & 0xFFFF not in told]
+        if entries:
+            counted = Counter(map(history_text, entries))
+            shown = [text if count == 1 else f"{text}, {count} times" for text, count in counted.items()]
+            history.append(f"earlier, by 0x1003, newest first: {', '.join(shown)}")
     with contextlib.suppress(DriveRefusedError):
         inputs = service.read_optional_int(DIGITAL_INPUTS, 0)
         if inputs is not None:
@@ -151,16 +180,13 @@ def asked_words(service: Service, heard: bool) -> tuple[list[str], list[str]]:
         voltage_mv = service.read_optional_int(DC_LINK_MV, 0)
         if voltage_mv is not None:
             supplies.append(f"DC link {voltage_mv / 1e3:.1f} V (0x6079)")
-    return errors, supplies
+    return AskedWords(error, supplies, history)
 
 
-def _history(service: Service) -> list[str]:
+def _history(service: Service) -> list[int]:
     """Newest entries of 0x1003."""
     entries = service.read_optional_int(ERROR_HISTORY, 0) or 0
-    return [
-        history_text(service.read_optional_int(ERROR_HISTORY, sub) or 0)
-        for sub in range(1, min(entries, LONGEST_HISTORY) + 1)
-    ]
+    return [service.read_optional_int(ERROR_HISTORY, sub) or 0 for sub in range(1, min(entries, LONGEST_HISTORY) + 1)]
 
 
 class WarningNews:

@@ -39,6 +39,11 @@ FEEDBACK_OBJECTS = {
 COMMAND_OBJECTS = {CONTROLWORD: 16, TARGET_TORQUE: 16, TORQUE_OFFSET: 16, MODE: 8}
 
 
+def object_name(index: int, sub: int) -> str:
+    """For instance 0x6040:00, as all messages name an object."""
+    return f"0x{index:04X}:{sub:02X}"
+
+
 def axis_of(index: int) -> tuple[int, int]:
     """Number from 1 of the axis of a node that an object of CiA 402 belongs to, and that object of the first axis."""
     axis = (index - FIRST_OBJECT) // AXIS_OBJECTS

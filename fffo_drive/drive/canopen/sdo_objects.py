@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from ..port import BusUnavailableError
-from .service import SdoRefusedError, object_name
+from .object_map import object_name
+from .service import SdoAnswerError, SdoRefusedError
 
-Read = Callable[[int, int], bytes]  # raises SdoRefusedError, BusUnavailableError
+Read = Callable[[int, int], bytes]  # raises SdoRefusedError, SdoAnswerError, BusUnavailableError
 
 NO_DATA = 0x08000024  # abort code of an object that exists but is empty, such as 0x1003:01 without errors
 MOST_TIMEOUTS = 3  # SDO timeouts in a row after which the drive counts as gone
@@ -27,7 +28,7 @@ CHANGING = (0x1001, 0x603F, 0x6041, 0x6061, 0x6079, 0x60FD, 0x60FE)  # read agai
 class SdoObjects:
     """`DriveObjects` of a drive on the bus: uploaded by SDO when first asked for.
 
-    `most_timeouts`: SDO timeouts in a row that raise BusUnavailableError.
+    `most_timeouts`: requests in a row without their answer after which the error is raised.
     """
 
     def __init__(self, read: Read, most_timeouts: int = MOST_TIMEOUTS) -> None:
@@ -45,6 +46,10 @@ class SdoObjects:
         """Unsigned, of whatever size. Raises BusUnavailableError."""
         return self._upload(index, sub)[1]
 
+    def mappable(self, index: int, sub: int = 0) -> bool:
+        """A drive says so when the PDO is mapped. Raises BusUnavailableError."""
+        return self.has(index, sub)
+
     def read_all(self, progress: Callable[[float], None] = lambda share: None) -> None:
         """Read all of WANTED; `progress` gets the fraction done."""
         for k, (index, sub) in enumerate(WANTED, 1):
@@ -60,7 +65,7 @@ class SdoObjects:
             for where in [where for where in before if where[0] in wanted]:
                 del self._known[where]
                 self._upload(*where)
-        except BusUnavailableError:
+        except (BusUnavailableError, SdoAnswerError):
             self._known = {**before, **self._known}
         self._read = None
 
@@ -88,10 +93,11 @@ class SdoObjects:
                 self._timeouts = 0
                 if not refusal.absent and refusal.code != NO_DATA:
                     self.unreadable[object_name(*where)] = f"abort 0x{refusal.code:08X}"
-            except BusUnavailableError:
+            except (BusUnavailableError, SdoAnswerError) as error:
                 self._timeouts += 1
                 if self._timeouts >= self._most_timeouts:
                     raise
                 self._known[where] = True, None
-                self.unreadable[object_name(*where)] = "no answer"
+                answers = isinstance(error, SdoAnswerError)
+                self.unreadable[object_name(*where)] = "a wrong answer" if answers else "no answer"
         return self._known[where]

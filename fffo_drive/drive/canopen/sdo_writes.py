@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple
 
 from ..port import DriveRefusedError
 from .checked import write_checked
-from .object_map import axis_of
-from .service import SdoRefusedError, Service, object_name
+from .object_map import axis_of, object_name
+from .service import SdoRefusedError, Service
 
 WritePhase = Literal["before_mapping", "before_enable", "after_disable"]
 

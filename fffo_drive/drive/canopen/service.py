@@ -24,7 +24,7 @@ from ...can.frame import Frame, pack_frame, unpack_frame
 from ...can.link import Link, LinkError
 from ..port import BusUnavailableError, DriveRefusedError
 from .object_lengths import SDO_ABORT, SDO_DOWNLOADED, LengthOf, standard_length
-from .object_map import MappedObject
+from .object_map import MappedObject, object_name
 from .service_queue import ServiceQueue
 
 NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET_COMMUNICATION = 0x01, 0x80, 0x82
@@ -49,6 +49,10 @@ class SdoRefusedError(DriveRefusedError):
     def absent(self) -> bool:
         """True when the drive does not have the object."""
         return self.code in ABSENT
+
+
+class SdoAnswerError(DriveRefusedError):
+    """The node answers, but not what was asked."""
 
 
 class Emergency(NamedTuple):
@@ -84,11 +88,6 @@ def expedited_download(node_id: int, item: MappedObject, value: int) -> bytes:
     command = 0x23 | (4 - size) << 2
     data = struct.pack("<BHB", command, item.index, item.sub) + value.to_bytes(size, "little").ljust(4, b"\0")
     return pack_frame(can.SDO_REQUEST + node_id, data)
-
-
-def object_name(index: int, sub: int) -> str:
-    """For instance 0x6040:00, as all messages name an object."""
-    return f"0x{index:04X}:{sub:02X}"
 
 
 def shown_value(value: int, size: int) -> str:
@@ -170,7 +169,8 @@ class Service:
     def read(self, index: int, sub: int, attempts: int | None = None) -> bytes:
         """Upload an object; `attempts`: another number of them than otherwise.
 
-        Raises SdoRefusedError, DriveRefusedError (two nodes), BusUnavailableError (no answer).
+        Raises SdoRefusedError, SdoAnswerError (of another request), DriveRefusedError (two nodes),
+        BusUnavailableError (no answer).
         """
         return bytes(self._transact(index, sub, "read", lambda: self._client.upload(index, sub), attempts))
 
@@ -196,10 +196,13 @@ class Service:
     def _transact(self, index: int, sub: int, what: str, transfer: Callable[[], T], attempts: int | None = None) -> T:
         from canopen import SdoAbortedError, SdoCommunicationError
 
+        from .sdo_client import WrongAnswerError
+
         name = object_name(index, sub)
         attempts = attempts or self._attempts
         with self._transfer:
             self._asked = index, sub
+            wrong = ""  # answers to the last attempt
             for _ in range(attempts):
                 try:
                     result = transfer()
@@ -210,11 +213,17 @@ class Service:
                         f"node {self.node_id}: cannot {what} {name}: {text} (abort 0x{abort.code:08X})",
                         abort.code,
                     ) from abort
-                except SdoCommunicationError:
+                except SdoCommunicationError as error:
+                    wrong = str(error) if isinstance(error, WrongAnswerError) else ""
                     self.check_one_node()
                     continue
                 self.check_one_node()
                 return result
+        if wrong:
+            raise SdoAnswerError(
+                f"{self.link.spec}: node {self.node_id} answers wrongly when asked to {what} {name} "
+                f"({attempts} times): {wrong}"
+            )
         raise BusUnavailableError(
             f"{self.link.spec}: node {self.node_id} does not answer when asked to {what} {name} "
             f"({attempts} times, {self._client.RESPONSE_TIMEOUT} s each); "

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..port import DriveError
-from .service import SdoRefusedError, Service, object_name, shown_value
+from .object_map import object_name
+from .service import SdoRefusedError, Service, shown_value
 
 REREAD_S = 0.1  # between two objects: some forty of them take four seconds
 END_S = 1.0  # for a read that is under way
