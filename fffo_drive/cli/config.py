@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from ..documents import StrictRecord, sentence
 
 if TYPE_CHECKING:
+    from ..config.drive_profile import DriveProfile
     from ..workflows.plan import Plan
 
 SCHEMAS = {  # kind of file -> module and name of its record
@@ -62,7 +63,9 @@ def execute(options: argparse.Namespace) -> int:
     elif options.action == "schema":
         print(json.dumps(schema_record(options.kind).model_json_schema(), indent=2))
     elif options.action == "drives":
-        print(json.dumps(_drives(), indent=2) if options.json else "\n".join(drive_lines()))
+        told = {"family", "tried", "remarks", "to_fill_in"}
+        found = {name: profile.model_dump(include=told) for name, profile in _drives().items()}
+        print(json.dumps(found, indent=2) if options.json else "\n".join(drive_lines()))
     elif options.action == "signals":
         _print_signals(options.json)
     else:
@@ -132,22 +135,18 @@ def _print_effects(as_json: bool) -> None:
     print("\n".join(lines))
 
 
-def _drives() -> dict[str, dict[str, Any]]:
+def _drives() -> dict[str, DriveProfile]:
     from ..config.drive_profile import read_profile, shipped_profiles
 
-    read = {name: read_profile(path) for name, path in shipped_profiles().items()}
-    return {
-        name: {"family": profile.family, "tried": profile.tried, "remarks": list(profile.remarks)}
-        for name, profile in read.items()
-    }
+    return {name: read_profile(path) for name, path in shipped_profiles().items()}
 
 
 def drive_lines() -> list[str]:
     """Each profile of a drive family: name, family, what was tried on what, what must be known."""
     lines = []
-    for name, drive in _drives().items():
-        lines += wrapped(drive["family"], f"{name}  ", "  ")
-        for text in (f"tried: {drive['tried']}", *drive["remarks"]):
+    for name, profile in _drives().items():
+        lines += wrapped(profile.family, f"{name}  ", "  ")
+        for text in profile.notes:
             lines += wrapped(text, "  ", "    ")
     return lines
 

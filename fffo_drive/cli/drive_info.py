@@ -3,7 +3,9 @@
 fffo-drive drive-info FILE.eds                 modes, PDO mappings, missing objects, a drive section for an axis file
 fffo-drive drive-info FILE.eds --profile OUT   ... and write the profile of its family, for drive.profile
 
-Nothing is sent. Exit code 0 if the drive can be used or the file does not say, 78 if it cannot be used.
+All that stands against the drive is told, with the keys of an axis file that do without it; the section has them.
+Nothing is sent. Exit code 0 if the drive can be used, with these keys if need be, or the file does not say; 78 if no
+key helps.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from ..config.drive_profile import DriveProfile, profile_for, profile_text, read_profile
+from ..config.drive_section import CanopenDriveSection
 from ..config.eds_fitness import Fitness, fitness_of, mode_names, snippet
 from ..drive.canopen.eds import Eds, default_of, read_eds
-from ..drive.canopen.needs import has_mode, mode_text
+from ..drive.canopen.needs import Need, keys_text, mode_text
 from .exits import EXIT_BAD_INPUT, EXIT_OK
 
 
@@ -39,7 +42,8 @@ def execute(options: argparse.Namespace) -> int:
     eds = read_eds(options.file, options.node)
     device = eds.dictionary.device_information
     known = None if options.without_profile else profile_for(device.vendor_number, device.product_number)
-    fitness = fitness_of(eds, options.node, known[1].keys if known else None)
+    profile = known[1] if known else None
+    fitness = fitness_of(eds, options.node, profile.keys if profile else None, profile.to_fill_in if profile else None)
     if options.json:
         print(json.dumps(_facts(eds, options.node, fitness, known), indent=2))
     else:
@@ -68,15 +72,17 @@ def _facts(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> dict[str, 
         "modes": None if fitness.modes is None else mode_names(fitness.modes),
         "usable": not fitness.refusals,
         "refusals": fitness.refusals,
+        "needs": [_need(one) for one in (*fitness.proposal.needs, *fitness.proposal.mended)],
+        "left_to_the_drive": fitness.open,
         "missing": fitness.welcome_missing,
         "pdos": {pdo.name: pdo.problems for pdo in fitness.pdos},
         "mode": fitness.mode,
         "profile": known[0] if known else None,
-        "stand_ins": fitness.proposal.stand_ins,
         "unit_remarks": fitness.proposal.remarks,
-        "highest_rate_hz": fitness.highest_rate_hz,
+        "bit_rates_hz": fitness.bit_rates_hz,
+        "rate_hz": fitness.rate_hz,
         "drive_section": fitness.section,
-        "to_fill_in": fitness.unknown,
+        "to_fill_in": fitness.to_fill_in,
         "remarks": [str(remark) for remark in eds.remarks],
         "snippet": snippet(eds, node_id, fitness, known[0] if known else None),
     }
@@ -94,24 +100,26 @@ def _lines(eds: Eds, node_id: int, fitness: Fitness, known: Known) -> list[str]:
         if value is not None
     ]
     lines = [f"{eds.path}: {eds.drive_name}", f"  {', '.join(identity) or 'no identity'}", ""]
-    lines += [_verdict(eds, fitness), "", "modes (0x6502):"]
+    lines += [*_verdict(eds, fitness), "", "modes (0x6502):"]
     modes = None if fitness.modes is None else ", ".join(mode_names(fitness.modes)) or "none"
     listed = modes or "not in the file; they are read from the drive when it is connected"
-    lines += textwrap.wrap(listed, WIDTH, initial_indent="  ", subsequent_indent="  ")
+    lines += _wrapped(listed, "  ")
     if fitness.refusals:
         return lines + _remarks(eds)
     lines.append(f"  used: {mode_text(fitness.mode)}")
     if known is not None:
         lines += ["", f"profile of its family: {known[0]} ({known[1].family})", f"  tested with: {known[1].tried}"]
         lines += [f"  {remark}" for remark in known[1].remarks]
-    if fitness.proposal.stand_ins:
-        lines += ["", "replacements for missing objects:", *(f"  {text}" for text in fitness.proposal.stand_ins)]
     units = [f"  {text}" for text in fitness.proposal.remarks]
     section = fitness.section
     if velocity := section.get("velocity_units_per_rps"):
         units.append(f"  one unit of velocity is {1.0 / velocity:.3g} rps")
-    if fitness.highest_rate_hz is not None:
-        units.append(f"  commands at no more than {fitness.highest_rate_hz} Hz: loop.rate_hz")
+    if fitness.bit_rates_hz:
+        rates = ", ".join(f"{rate / 1e3:g}" for rate in fitness.bit_rates_hz)
+        units.append(f"  bit rates (BaudRate_*): {rates} kbit/s")
+    bit_rate_hz = section.get("bitrate_hz", CanopenDriveSection.model_fields["bitrate_hz"].default)
+    bus = f"the bus (at {bit_rate_hz / 1e3:g} kbit/s)"
+    units.append(f"  loop.rate_hz: {fitness.rate_hz}, the highest usual rate that the drive and {bus} take")
     if units:
         lines += ["", "units, rate and axes:", *units]
     lines += ["", "PDO mappings that the program sets up:"]
@@ -136,10 +144,27 @@ def _remarks(eds: Eds) -> list[str]:
     return ["", head, *(f"  {remark}" for remark in eds.remarks)]
 
 
-def _verdict(eds: Eds, fitness: Fitness) -> str:
+def _verdict(eds: Eds, fitness: Fitness) -> list[str]:
+    """Whether it can be used, and all that stands against it."""
     if fitness.refusals:
-        return "\n".join([f"cannot be used: {eds.drive_name}", *(f"  {text}" for text in fitness.refusals)])
-    if fitness.modes is None:
-        return f"can be used if it has mode {mode_text(fitness.mode)}: the file does not say"
-    assert has_mode(fitness.modes, fitness.mode)
-    return "can be used, as far as the file says"
+        lines = [f"cannot be used: {eds.drive_name}", *(f"  {text}" for text in fitness.refusals)]
+    else:
+        keys = f" with {keys_text(fitness.keys)}" if fitness.keys else ""
+        condition = f" if it has {', '.join(fitness.open)}: the file does not say" if fitness.open else ""
+        lines = _wrapped(f"can be used{keys}{condition or ', as far as the file says'}", "")
+    choices = [need for need in fitness.proposal.needs if need.choice]
+    if fitness.proposal.mended or choices:
+        lines += ["", "stands against it, and the key that does without it:"]
+        for need in (*fitness.proposal.mended, *choices):
+            lines += _wrapped(need.text, "  ")
+            keys = ", ".join(need.keys) + f": {need.choice}" if need.choice else keys_text(need.keys)
+            lines += _wrapped(f"-> {keys}", "    ")
+    return lines
+
+
+def _need(need: Need) -> dict[str, Any]:
+    return {"text": need.text, "keys": {} if need.choice else dict(need.keys), "to_decide": need.choice}
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)

@@ -11,7 +11,7 @@ from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bo
 from ..control.stability import Margins, condition_14_nm_per_rev, loop_delay_s, loop_margins, stuck_axes, worst_margins
 from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
-from ..drive.canopen.config import ONE_MASTER, chain_of, load_of
+from ..drive.canopen.config import HOST_S, ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
 from ..drive.canopen.silence import LIFE_GUARDING
 from ..identification.excitation import predict_motion
@@ -22,7 +22,6 @@ from .drive_section import CanopenDriveSection
 from .resolution import resolution_of
 from .sections import EnvelopeSection, VelocitySection
 
-HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 # of the loop's rate: where 2 pi bandwidth / rate is above 1.3 the estimate takes the position's noise as it comes
 FASTEST_ESTIMATE_SHARE = 0.2
 COARSE_CURRENT_SHARE = 0.05  # of the continuous current: noise that one count of the position makes in the command

@@ -17,10 +17,11 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from .. import formats
-from ..documents import DocumentError, StrictRecord, accepts, load, refuse
+from ..documents import DocumentError, StrictRecord, load, refuse
 from ..system.service_files import sources
-from .drive_section import CanopenDriveSection, SdoWriteSection
-from .eds_fitness import Fitness, section_lines
+from .drive_proposal import section_lines
+from .drive_section import CanopenDriveSection, merged
+from .eds_fitness import Fitness
 from .names import is_file_name
 
 OF_ONE_AXIS = frozenset({
@@ -62,7 +63,16 @@ class DriveProfile(StrictRecord):
     remarks: Annotated[list[str], Field(description="what to know when wiring such a drive, one sentence each")] = (
         Field(default_factory=list)
     )
+    to_fill_in: Annotated[
+        dict[str, str],
+        Field(description="keys of the drive section that each axis file gives, and where their values are found"),
+    ] = Field(default_factory=dict)
     drive: Annotated[ProfileKeys, Field(description="keys of the drive section")]  # type: ignore[valid-type]
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know before such a drive is used: what was tried, remarks, and what each axis file must give."""
+        return [f"tried: {self.tried}", *self.remarks, *(f"drive.{k}: {text}" for k, text in self.to_fill_in.items())]
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -132,39 +142,6 @@ def with_profile(data: Any, axis_path: Path) -> Any:
         raise
     keys = read_profile(path).keys
     return {**data, "drive": merged(keys, section)}
-
-
-def merged(keys: Mapping[str, Any], section: Mapping[str, Any]) -> dict[str, Any]:
-    """A drive section over the keys of a profile."""
-    found = {**keys, **section}
-    for key, value in keys.items():  # of a mapping in it the file may give single keys
-        if isinstance(value, Mapping) and isinstance(section.get(key), Mapping):
-            found[key] = {**value, **section[key]}
-    for given, other in (("resolver_bits", "counts_per_rev"), ("counts_per_rev", "resolver_bits")):
-        if given in section and other not in section:  # two ways to say the same
-            found.pop(other, None)
-    own = section.get("sdo")
-    if "sdo" in keys and isinstance(own, list) and all(accepts(SdoWriteSection, write) for write in own):
-        found["sdo"] = _joined(keys["sdo"], own)  # else its own mistakes are named
-    return found
-
-
-def _joined(shared: list[Any], own: list[Any]) -> list[Any]:
-    """Writes of a profile and of a file, each list in its order: one may unlock what the next one sets."""
-    places = [_place(write) for write in own]
-    found, rest = [], own
-    for write in shared:
-        place = _place(write)
-        if place not in places:
-            found.append(write)
-            continue
-        end = next((k for k, mine in enumerate(rest, 1) if _place(mine) == place), 0)
-        found, rest = found + rest[:end], rest[end:]
-    return found + rest
-
-
-def _place(write: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    return write.get("object"), write.get("sub", 0), write.get("when", "before_mapping")
 
 
 def profile_text(family: str, device: Any, fitness: Fitness) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from ..documents import StrictRecord
+from ..documents import StrictRecord, accepts
 from ..drive.canopen.config import LISTEN_S, CanopenDriveConfig, ModeDisplay
 from ..drive.canopen.needs import FIRST_AXIS_ONLY
 from ..drive.canopen.object_map import (
@@ -332,3 +333,36 @@ class CanopenDriveSection(StrictRecord):
             "slots": PdoSlots(**self.pdo.model_dump()),
         }
         return CanopenDriveConfig(**values)
+
+
+def merged(keys: Mapping[str, Any], section: Mapping[str, Any]) -> dict[str, Any]:
+    """A drive section over the keys of a profile."""
+    found = {**keys, **section}
+    for key, value in keys.items():  # of a mapping in it the file may give single keys
+        if isinstance(value, Mapping) and isinstance(section.get(key), Mapping):
+            found[key] = {**value, **section[key]}
+    for given, other in (("resolver_bits", "counts_per_rev"), ("counts_per_rev", "resolver_bits")):
+        if given in section and other not in section:  # two ways to say the same
+            found.pop(other, None)
+    own = section.get("sdo")
+    if "sdo" in keys and isinstance(own, list) and all(accepts(SdoWriteSection, write) for write in own):
+        found["sdo"] = _joined(keys["sdo"], own)  # else its own mistakes are named
+    return found
+
+
+def _joined(shared: list[Any], own: list[Any]) -> list[Any]:
+    """Writes of a profile and of a file, each list in its order: one may unlock what the next one sets."""
+    places = [_place(write) for write in own]
+    found, rest = [], own
+    for write in shared:
+        place = _place(write)
+        if place not in places:
+            found.append(write)
+            continue
+        end = next((k for k, mine in enumerate(rest, 1) if _place(mine) == place), 0)
+        found, rest = found + rest[:end], rest[end:]
+    return found + rest
+
+
+def _place(write: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    return write.get("object"), write.get("sub", 0), write.get("when", "before_mapping")

@@ -1,4 +1,4 @@
-"""What we can and cannot do with a drive, as far as its EDS says: modes, objects, PDO mappings, scales.
+"""What we can and cannot do with a drive, as far as its EDS says: modes, objects, PDO mappings, scales, rates.
 
 Nothing here asks the drive. What the file leaves open stays open; bring-up checks it on the drive itself, against the
 same needs.
@@ -6,18 +6,23 @@ same needs.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
-import yaml
-
-from ..drive.canopen.config import CanopenDriveConfig
-from ..drive.canopen.eds import Eds, default_of, missing_in_pdo, supported_modes
-from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, FileObjects, check_device_type, check_modes, needs
-from ..drive.canopen.object_map import EVERY_SYNC, ON_EVENT, PdoMap
-from ..drive.canopen.reported_units import highest_rate_hz
-from .drive_proposal import DriveProposal, config_of, propose
+from ..drive.canopen.config import CanopenDriveConfig, bus_carries
+from ..drive.canopen.eds import Eds, FileObjects, bit_rates_hz, eds_needs, left_to_the_drive, rates_hz, supported_modes
+from ..drive.canopen.needs import MODE_NAMES, VENDOR_MODES, Need, keys_text, pdos_of, yaml_text
+from .drive_proposal import (
+    SNIPPET_BUS,
+    USUAL_RATES_HZ,
+    DriveProposal,
+    config_of,
+    open_units,
+    propose,
+    section_lines,
+)
+from .drive_section import CanopenDriveSection, merged
 
 # objects that we use where a drive has them, and what for
 WELCOME = {
@@ -31,14 +36,14 @@ WELCOME = {
     (0x6080, 0): "a speed limit in the drive",
     (0x60C2, 1): "the drive knows the control period",
 }
-WRITABLE = ("rw", "rww", "rwr", "wo")
-MOST_SLOTS = 64  # PDOs that are looked at
 # keys that every axis needs, and where their values are found
 TO_FILL_IN = {
     "counts_per_rev": "increments of 0x6064 per revolution (quadrature: four times the lines): see the drive's manual",
     "velocity_units_per_rps": "0x606C at one revolution per second: see the drive's manual",
     "rated_torque_nm": "0x6076, from the motor's data sheet",
 }
+FILL_IN = "fill in: "  # before what a user must give
+TURNAROUND_S = CanopenDriveSection.model_fields["turnaround_us"].default * 1e-6
 
 
 class PdoFitness(NamedTuple):
@@ -55,71 +60,88 @@ class Fitness(NamedTuple):
 
     modes: int | None
     mode: int  # that we would use
-    refusals: tuple[str, ...]
+    refusals: tuple[str, ...]  # what no key mends
+    proposal: DriveProposal  # with all that its keys mend
+    open: tuple[str, ...]  # what the drive must have, and the file does not say
     welcome_missing: tuple[str, ...]
     pdos: tuple[PdoFitness, ...]
-    proposal: DriveProposal
     section: dict[str, Any]  # keys of an axis file's drive section: the profile's, then what the file tells
-    unknown: tuple[str, ...]  # needed keys that it does not
-    highest_rate_hz: int | None
+    to_fill_in: dict[str, str]  # key, of a mapping key.key -> where its value is found
+    bit_rates_hz: tuple[int, ...]  # that the file names; empty: none
+    rate_hz: int  # the highest usual rate of the loop that drive and bus take
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """Keys without which the drive cannot be used."""
+        names = dict.fromkeys(key for need in self.proposal.mended for key in need.keys)
+        return {name: self.proposal.section[name] for name in names}
 
 
-def fitness_of(eds: Eds, node_id: int, base: Mapping[str, Any] | None = None) -> Fitness:
-    """What the service could do with this drive under this node-ID. `base`: the drive section from its profile."""
+def fitness_of(
+    eds: Eds, node_id: int, base: Mapping[str, Any] | None = None, to_fill_in: Mapping[str, str] | None = None
+) -> Fitness:
+    """What the service could do with this drive under this node-ID.
+
+    `base`, `to_fill_in`: the drive section from its profile, and where the values are found that it leaves open.
+    """
     dictionary = eds.dictionary
-    objects = FileObjects(dictionary)
-    proposal = propose(objects, base)
-    section = {**(base or {}), **proposal.section}
+    proposal = propose(FileObjects(dictionary), node_id, partial(eds_needs, dictionary), base)
+    section = merged(base or {}, proposal.section)
     config = config_of(section, node_id)
-    usual = [(0x1400, config.command), *((0x1800, pdo) for pdo in config.answers)]
-    if "pdo" not in section and any(list(_pdo_problems(dictionary, kind + p.number - 1, p)) for kind, p in usual):
-        slots = _fitting_slots(dictionary, config)
-        if slots is not None:
-            proposal = proposal.with_key("pdo", slots, "numbers of PDOs that allow the mapping")
-            section["pdo"] = slots
-            config = config_of(section, node_id)
-    purposes = [
+    refusals = [need.text for need in proposal.needs if not need.choice]
+    rate_hz = _highest_rate_hz(dictionary, section, node_id)
+    if rate_hz is None and not refusals:
+        bus = f"at {config.bitrate_hz / 1e3:g} kbit/s the bus has no time for {USUAL_RATES_HZ[-1]} Hz"
+        refusals.append(f"{bus}: SYNC, feedback and command do not fit into a period")
+    return Fitness(
+        modes=supported_modes(dictionary),
+        mode=config.mode,
+        refusals=tuple(dict.fromkeys(refusals)),
+        proposal=proposal,
+        open=tuple(left_to_the_drive(dictionary, config)),
+        welcome_missing=tuple(_welcome_missing(dictionary)),
+        pdos=tuple(_pdos(config, proposal.needs)),
+        section=section,
+        to_fill_in=_to_fill_in(section, proposal.needs, to_fill_in or {}),
+        bit_rates_hz=tuple(bit_rates_hz(dictionary)),
+        rate_hz=rate_hz or USUAL_RATES_HZ[-1],
+    )
+
+
+def _to_fill_in(section: Mapping[str, Any], needs: tuple[Need, ...], told: Mapping[str, str]) -> dict[str, str]:
+    """Keys that the axis file must give. `told`: what the profile tells of them."""
+    found = {key: need.choice for need in needs if need.choice for key in need.keys}
+    for key, index in open_units(section).items():
+        found[f"{key}.units_per_a"] = (
+            f"units of 0x{index:04X} per ampere of torque-forming current (amplitude): see this object in the drive's "
+            "manual"
+        )
+    found |= {key: text for key, text in TO_FILL_IN.items() if key not in section}
+    if "resolver_bits" in section:
+        found.pop("counts_per_rev", None)
+    return {key: told.get(key, text) for key, text in found.items()}
+
+
+def _highest_rate_hz(dictionary: Any, section: Mapping[str, Any], node_id: int) -> int | None:
+    """The highest usual rate that the drive takes and that the bus has time for; None: there is none."""
+    taken = rates_hz(dictionary)
+    limit_hz = section.get("highest_rate_hz") or USUAL_RATES_HZ[0]
+    usual = [rate for rate in USUAL_RATES_HZ if rate <= limit_hz and rate in taken]
+    rates = usual or [rate for rate in reversed(taken) if rate <= limit_hz]
+    return next((rate for rate in rates if bus_carries(config_of(section, node_id, rate), TURNAROUND_S)), None)
+
+
+def _pdos(config: CanopenDriveConfig, needs: tuple[Need, ...]) -> Iterator[PdoFitness]:
+    purposes = (
+        "command with each SYNC",
         "motion with each SYNC",
         f"status and torque with every {config.status_every}th SYNC",
         "status on change",
-    ]
-    wanted = [("RPDO", 0x1400, config.command, "command with each SYNC")]
-    wanted += [("TPDO", 0x1800, pdo, purpose) for pdo, purpose in zip(config.answers, purposes, strict=False)]
-    pdos = tuple(
-        PdoFitness(
-            f"{kind}{pdo.number}",
-            purpose,
-            ", ".join(f"0x{item.index:04X}" for item in pdo.objects),
-            tuple(_pdo_problems(dictionary, first + pdo.number - 1, pdo)),
-        )
-        for kind, first, pdo, purpose in wanted
     )
-    modes = supported_modes(dictionary)
-    refusals = check_device_type(objects, config) if objects.value(0x1000) is not None else []
-    if not refusals and modes:
-        refusals += check_modes(objects, config)
-    if not refusals:  # of what is no drive, or has no torque mode, nothing more is asked
-        refusals += needs(objects, config)
-        refusals += [f"{pdo.name}: {problem}" for pdo in pdos for problem in pdo.problems]
-    exponent = dictionary.get_variable(0x60C2, 2)
-    declared_hz = None if exponent is None else highest_rate_hz(_lowest(exponent))
-    return Fitness(
-        modes=modes,
-        mode=config.mode,
-        refusals=tuple(dict.fromkeys(refusals)),
-        welcome_missing=tuple(_welcome_missing(dictionary)),
-        pdos=pdos,
-        proposal=proposal,
-        section=section,
-        unknown=tuple(key for key in TO_FILL_IN if key not in section),
-        highest_rate_hz=section.get("highest_rate_hz") or declared_hz,
-    )
-
-
-def _lowest(variable: Any) -> int | None:
-    """The lowest value that a file lets us write; None where it does not say."""
-    lowest: int | None = variable.default if variable.access_type not in WRITABLE else variable.min
-    return lowest
+    for (kind, _, pdo), purpose in zip(pdos_of(config), purposes, strict=False):
+        name = f"{kind}{pdo.number}"
+        said = tuple(need.text.removeprefix(f"{name}: ") for need in needs if need.text.startswith(name))
+        yield PdoFitness(name, purpose, ", ".join(f"0x{item.index:04X}" for item in pdo.objects), said)
 
 
 def mode_names(modes: int) -> list[str]:
@@ -129,90 +151,39 @@ def mode_names(modes: int) -> list[str]:
 
 
 def snippet(eds: Eds, node_id: int, fitness: Fitness, profile: str | None = None) -> str:
-    """The drive section of an axis file, as far as the EDS fills it; keys from its profile need not stand in it."""
-    lines = [
-        "drive:", "  kind: canopen", "  bus: socketcan:can0", f"  node_id: {node_id}", f"  eds: {eds.path}"
-    ]  # fmt: skip
+    """The drive section of an axis file, as far as the EDS fills it; keys from its profile need not stand in it.
+
+    Beside it the loop section, where drive or bus do not take the loop's default rate.
+    """
+    lines = ["drive:", "  kind: canopen", f"  bus: {SNIPPET_BUS}", f"  node_id: {node_id}"]
+    lines.append(f"  eds: {yaml_text(eds.path)}")
     if profile is not None:
-        lines.append(f"  profile: {profile}")
-    lines += section_lines(fitness.proposal)
-    lines += [f"  {key}:   # to fill in: {TO_FILL_IN[key]}" for key in fitness.unknown]
+        lines.append(f"  profile: {yaml_text(profile)}")
+    blank = fitness.to_fill_in
+    nested = dict.fromkeys(key.partition(".")[0] for key in blank if "." in key)
+    kept = {key: value for key, value in fitness.proposal.section.items() if key not in nested}
+    lines += section_lines(fitness.proposal._replace(section=kept))
+    for key in nested:
+        lines.append(f"  {key}:")
+        known = fitness.proposal.section.get(key, {})
+        lines += [f"    {keys_text({name: value})}" for name, value in known.items()]
+        lines += [f"    {name}:   # {FILL_IN}{text}" for outer, name, text in _inner(blank) if outer == key]
+    lines += [f"  {key}:   # {FILL_IN}{text}" for key, text in blank.items() if "." not in key]
+    if fitness.rate_hz != USUAL_RATES_HZ[0]:
+        why = "the highest usual rate that drive and bus take"
+        lines += ["loop:", f"  rate_hz: {fitness.rate_hz}   # {why}"]
     return "\n".join(lines)
 
 
-def _yaml_text(value: Any) -> str:
-    """A value as it stands behind a key, in one line."""
-    if isinstance(value, float):
-        return format(value, ".10g")
-    return (
-        yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=math.inf).removesuffix("\n...\n").strip()
-    )
-
-
-def section_lines(proposal: DriveProposal) -> list[str]:
-    """Keys and values as YAML, each with where it comes from."""
-    return [
-        f"  {key}: {_yaml_text(value)}   # {proposal.sources.get(key, 'from its profile')}"
-        for key, value in proposal.section.items()
-    ]
+def _inner(blank: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """(key, key in it, text) of the keys inside a mapping."""
+    for key, text in blank.items():
+        outer, _, inner = key.partition(".")
+        if inner:
+            yield outer, inner, text
 
 
 def _welcome_missing(dictionary: Any) -> Iterator[str]:
     for (index, sub), purpose in WELCOME.items():
         if dictionary.get_variable(index, sub) is None:
             yield f"0x{index:04X}:{sub:02X}: {purpose}"
-
-
-def _pdo_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
-    """What keeps a PDO from carrying what we want: objects, a mapping that is fixed, a type that it lacks."""
-    problems = list(missing_in_pdo(dictionary, pdo))
-    yield from problems
-    if index not in dictionary:
-        return
-    count = dictionary.get_variable(index + 0x200, 0)
-    entries = [dictionary.get_variable(index + 0x200, sub) for sub in range(1, len(pdo.objects) + 1)]
-    if count is None or any(entry is None for entry in entries):
-        yield f"its mapping 0x{index + 0x200:04X} has too few entries for {len(pdo.objects)} objects"
-    elif count.access_type not in WRITABLE and count.default == len(pdo.objects) and _writable(entries):
-        pass  # only what is mapped can be chosen, and that suffices
-    elif not _writable((count, *entries)):
-        fixed = [default_of(dictionary, index + 0x200, sub) for sub in range(1, (count.default or 0) + 1)]
-        if fixed != [item.word for item in pdo.objects]:
-            shown = ", ".join(f"0x{word:08X}" for word in fixed if word is not None) or "nothing"
-            yield f"its mapping is fixed to {shown}"
-    if pdo.inhibit_ns and dictionary.get_variable(index, 3) is None:
-        yield f"it has no inhibit time 0x{index:04X}:03 that keeps events apart"
-    yield from _type_problems(dictionary, index, pdo)
-
-
-def _writable(variables: Iterable[Any]) -> bool:
-    return all(variable.access_type in WRITABLE for variable in variables)
-
-
-def _fitting_slots(dictionary: Any, config: CanopenDriveConfig) -> dict[str, int | None] | None:
-    """Numbers of PDOs that can carry what we want, where the usual ones cannot; None where there are none."""
-
-    def first(kind: int, pdo: PdoMap, taken: Iterable[int | None] = ()) -> int | None:
-        numbers = [n for n in range(1, MOST_SLOTS + 1) if kind + n - 1 in dictionary and n not in taken]
-        return next((n for n in numbers if not list(_pdo_problems(dictionary, kind + n - 1, pdo))), None)
-
-    motion, status, *event = config.answers
-    found: dict[str, int | None] = {"command": first(0x1400, config.command), "motion": first(0x1800, motion)}
-    found["status"] = first(0x1800, status, (found["motion"],))
-    if None in found.values():
-        return None
-    found["event"] = first(0x1800, event[0], found.values()) if event else None
-    return found
-
-
-def _type_problems(dictionary: Any, index: int, pdo: PdoMap) -> Iterator[str]:
-    kind = dictionary.get_variable(index, 2)
-    if kind is None:
-        yield f"it has no transmission type 0x{index:04X}:02"
-        return
-    fixed = kind.access_type not in WRITABLE
-    within = (kind.min is None or kind.min <= pdo.transmission) and (kind.max is None or pdo.transmission <= kind.max)
-    if (fixed and kind.default != pdo.transmission) or not within:
-        allowed = kind.default if fixed else f"{kind.min} to {kind.max}"
-        name = {EVERY_SYNC: "each SYNC", ON_EVENT: "events"}.get(pdo.transmission, "SYNC")
-        yield f"its transmission type is {allowed}, {pdo.transmission} ({name}) is needed"

@@ -344,7 +344,7 @@ def _propose(
         return found._replace(verdict=text, findings=_in_order(findings))
     trials: list[RateTrial] = []
     operational = False
-    if wishes.measure and not facts.problems:  # what it lacks would be refused
+    if wishes.measure and not facts.needs:  # what it lacks would be refused
         trials, later = _try_rates(wishes, draft, objects, talk)
         emergencies = [*emergencies, *later]
         operational = any(not trial.refused for trial in trials)
@@ -381,10 +381,10 @@ def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
 
 def _of_facts(facts: SourcedFacts) -> list[HostFinding]:
     """What the drive lacks, its replacements, and remarks on its units and axes."""
-    found = [failure("lacks", text, "`fffo-drive config schema axis` lists the keys") for text in facts.problems]
+    found = [failure("lacks", str(need), "`fffo-drive config schema axis` lists the keys") for need in facts.needs]
     found += [warning("replacement", text, "written to the axis file") for text in facts.stand_ins]
     found += [warning("remark", text, "") for text in facts.remarks if not text.startswith("0x6076")]
-    found += [ok("silence", f"when the PC is silent: {facts.silence}")] * (not facts.problems)
+    found += [ok("silence", f"when the PC is silent: {facts.silence}")] * (not facts.needs)
     return found
 
 

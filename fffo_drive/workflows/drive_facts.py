@@ -6,17 +6,15 @@ settings of the family; the user's answers take precedence over both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import ValidationError
-
-from ..config.drive_profile import DriveProfile, merged, profile_for, profile_path, read_profile
-from ..config.drive_proposal import config_of, propose
-from ..config.drive_section import RATED_TORQUE_UNITS
-from ..drive.canopen.needs import check_device_type, check_modes, needs
-from ..drive.canopen.object_map import TARGET_TORQUE, TORQUE, MappingError
+from ..config.drive_profile import DriveProfile, profile_for, profile_path, read_profile
+from ..config.drive_proposal import DriveProposal, open_units, propose
+from ..config.drive_section import RATED_TORQUE_UNITS, merged
+from ..drive.canopen.needs import Need, needs
+from ..drive.canopen.object_map import MappingError
 from ..drive.canopen.reported_units import counts_increments, reported_units
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.silence import DETECTIONS, HEARTBEAT, REACTIONS
@@ -48,9 +46,9 @@ OPTIONS = {  # field of `Answers` -> (option, what is asked)
     "feedback_units_per_a": ("--feedback-units", "units per ampere of the vendor's torque feedback object"),
     "rated_current_a": ("--rated-current", "rated current of the motor in A"),
 }
-OWN_OBJECTS = {  # field of `Answers` -> (key whose object may be the vendor's, the standard's object)
-    "target_units_per_a": ("target", TARGET_TORQUE),
-    "feedback_units_per_a": ("torque_feedback", TORQUE),
+OWN_OBJECTS = {  # field of `Answers` -> key whose object may be the vendor's
+    "target_units_per_a": "target",
+    "feedback_units_per_a": "torque_feedback",
 }
 MOTOR = ("rated_torque_nm", "torque_constant_nm_per_a", "rated_current_a")  # one follows from the others; best first
 OF_SECTION = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a")
@@ -79,15 +77,15 @@ class SourcedFacts(NamedTuple):
     profile_remarks: tuple[str, ...]  # of its author; first, what was tried
     stand_ins: tuple[str, ...]  # replacements for what the drive lacks
     remarks: tuple[str, ...]  # about units, and axes beside the one that is used
-    problems: tuple[str, ...]  # requirements that the drive does not meet
+    needs: tuple[Need, ...]  # requirements that the drive does not meet
     writes: dict[str, int]  # 0x6076:00 -> number that the axis file writes
     silence: str  # how the drive notices a silent PC, and how it then stops
     torque_limit_set: bool  # the profile writes 0x6072
 
     @property
-    def unusable(self) -> list[str]:
-        """Problems that no key of the axis file can solve."""
-        return [problem for problem in self.problems if "drive." not in problem]
+    def unusable(self) -> bool:
+        """Whether it does not meet one that no key of the axis file does without."""
+        return any(not need.keys for need in self.needs)
 
     @property
     def written(self) -> tuple[str, ...]:
@@ -97,7 +95,8 @@ class SourcedFacts(NamedTuple):
     @property
     def missing(self) -> list[str]:
         """Unknown values that are required, in the order of the questions. Of the motor two of three are enough."""
-        asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in _own_units(self.profile_keys)]
+        own = _own_units(_values(self.profile_keys, self.section))
+        asked = [name for name in OPTIONS if name not in OWN_OBJECTS or name in own]
         found = [name for name in asked if name not in self.scales]
         of_motor = [name for name in MOTOR if name in found]
         enough = of_motor[max(0, len(of_motor) - 1) :]  # the last of them follows from the others
@@ -120,10 +119,6 @@ def drive_facts(
         for key, value in answers._asdict().items()
         if key in OF_SECTION and value is not None
     }
-    own = _own_units(base)
-    for name in own:
-        if (units := getattr(answers, name)) is not None:
-            section[OWN_OBJECTS[name][0]] = Fact({"units_per_a": units}, f"given ({OPTIONS[name][0]})")
     raw = objects.value(0x6076)
     unit = _torque_unit(raw, answers.rated_torque_nm, base.get("rated_torque_unit", "mNm"))
     if unit != base.get("rated_torque_unit", "mNm"):
@@ -134,29 +129,43 @@ def drive_facts(
     for key, index in (("counts_per_rev", 0x60A8), ("velocity_units_per_rps", 0x60A9)):
         if key in reported and key in base and objects.value(index) and reported[key] != base[key]:
             section.setdefault(key, Fact(reported[key], f"read: 0x{index:04X}; the profile has {base[key]:g}"))
-    proposal = propose(objects, {**base, **{key: fact.value for key, fact in section.items()}})
+    proposal = _proposal(objects, _values(base, section), node_id)
     for key, value in proposal.section.items():
-        section.setdefault(key, Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}"))
+        section[key] = Fact(value, f"read: {_source(objects, key) or proposal.sources.get(key, '')}")
+    own = _own_units(_values(base, section))
+    for name in own:
+        if (units := getattr(answers, name)) is not None:
+            key = OWN_OBJECTS[name]
+            value = {**(section[key].value if key in section else {}), "units_per_a": units}
+            section[key] = Fact(value, f"given ({OPTIONS[name][0]})")
     section = {key: section[key] for key in (*OF_SECTION, *section) if key in section}
-    merged_section = merged(base, {key: fact.value for key, fact in section.items()})
-    scales = _scales(section, base, known[0] if known else "", answers)
+    scales = _scales(section, base, known[0] if known else "", answers, own)
     if "rated_torque_nm" in scales:
         section.setdefault("rated_torque_nm", scales["rated_torque_nm"])
     return SourcedFacts(
         scales, section, known[0] if known else None, known[1].family if known else "", base,
-        (f"tried: {known[1].tried}", *known[1].remarks) if known else (), proposal.stand_ins, proposal.remarks,
-        tuple(_problems(objects, merged_section, node_id)),
-        _writes(objects, section, unit), _silence(merged_section), "max_torque_permille" in base,
+        tuple(known[1].notes) if known else (), proposal.stand_ins, proposal.remarks,
+        proposal.needs,
+        _writes(objects, section, unit), _silence(_values(base, section)), "max_torque_permille" in base,
     )  # fmt: skip
+
+
+def _proposal(objects: SdoObjects, section: Mapping[str, Any], node_id: int) -> DriveProposal:
+    """What the drive's objects propose beside a section, by the list of needs that `drive-info` applies to a file."""
+    try:
+        return propose(objects, node_id, lambda config: needs(objects, config), section)
+    except MappingError as error:
+        return DriveProposal({}, {}, (), (Need(str(error)),), ())
+
+
+def _values(keys: Mapping[str, Any], section: Mapping[str, Fact]) -> dict[str, Any]:
+    """The drive section over the keys of its profile."""
+    return merged(keys, {key: fact.value for key, fact in section.items()})
 
 
 def _own_units(keys: Mapping[str, Any]) -> list[str]:
     """Questions for a profile that names a vendor's object without its units."""
-    return [
-        name
-        for name, (key, standard) in OWN_OBJECTS.items()
-        if (one := keys.get(key)) and one.get("object", standard) != standard and one.get("units_per_a") is None
-    ]
+    return [name for name, key in OWN_OBJECTS.items() if key in open_units(keys)]
 
 
 def _source(objects: SdoObjects, key: str) -> str:
@@ -182,12 +191,14 @@ def _torque_unit(raw: int | None, given_nm: float | None, expected: str) -> str:
     return fitting[0] if fitting else expected
 
 
-def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, answers: Answers) -> dict[str, Fact]:
+def _scales(
+    section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, answers: Answers, own: Iterable[str]
+) -> dict[str, Fact]:
     found = {key: section[key] for key in OF_SECTION if key in section}
     for key in OF_SECTION:
         if key in base:
             found.setdefault(key, Fact(base[key], f"profile {profile}"))
-    for key in ("torque_constant_nm_per_a", *_own_units(base)):
+    for key in ("torque_constant_nm_per_a", *own):
         if (value := getattr(answers, key)) is not None:
             found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
     if answers.inertia_kg_m2 is not None:
@@ -209,18 +220,6 @@ def _scales(section: Mapping[str, Fact], base: Mapping[str, Any], profile: str, 
 
 def _six_digits(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-def _problems(objects: SdoObjects, section: Mapping[str, Any], node_id: int) -> list[str]:
-    """What bring-up would refuse: the list of requirements that `drive-info` applies to a file."""
-    try:
-        config = config_of(section, node_id)
-    except MappingError as error:
-        return [str(error)]
-    except ValidationError:  # missing values are asked for; invalid ones are reported when the file is made
-        return []
-    found = check_device_type(objects, config)
-    return found or [*check_modes(objects, config), *needs(objects, config)]
 
 
 def _silence(section: Mapping[str, Any]) -> str:

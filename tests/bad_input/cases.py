@@ -473,7 +473,7 @@ CASES = (
     # the drive
     Case(
         "no servo drive", RUN_ON_BUS, 70,
-        ("node 1: 0x1000:00 says 0x00020191, which is no CiA 402 drive .*is the node id right",),
+        ("node 1: 0x1000:00 says 0x00020191, which is no CiA 402 drive .*set drive.device_profile: null",),
         visitors=(node(prepare=put(0x1000, 0, DEVICE_TYPE & ~0xFFFF | 0x0191)),),
     ),
     Case(

@@ -52,7 +52,7 @@ def test_each_scale_says_where_it_came_from():
         "rated_current_a": "read: 0x6075",
         "torque_constant_nm_per_a": "assumed: rated torque over rated current; see the data sheet",
     }
-    assert (facts.missing, facts.problems, facts.writes, facts.profile) == ([], (), {}, None)
+    assert (facts.missing, facts.needs, facts.writes, facts.profile) == ([], (), {}, None)
 
 
 def test_what_people_say_stands_before_what_is_read():
@@ -133,9 +133,9 @@ def test_a_known_family_brings_its_profile_and_what_the_drive_says_of_its_units_
 
 def test_what_the_drive_lacks_is_named_or_replaced():
     lacking = plain_drive(without=((0x6071, 0),))
-    assert any("0x6071" in problem for problem in facts_of(lacking).problems)
+    assert any("0x6071" in need.text for need in facts_of(lacking).needs)
     replaced = facts_of(plain_drive({(0x1029, 1): b"\0"}, without=((0x6007, 0),)))
-    assert replaced.problems == ()
+    assert replaced.needs == ()
     assert replaced.section["silence_reaction"].value == "error_behaviour"
     assert len(replaced.stand_ins) == 1
 
@@ -235,8 +235,8 @@ def test_every_known_dictionary_makes_an_axis_file_or_says_what_is_missing(tmp_p
             feedback_units_per_a=1000.0,
         )  # fmt: skip
         assert facts.missing == []
-        if facts.problems:
-            assert all(len(problem) > 20 and "pydantic" not in problem for problem in facts.problems)
+        if facts.needs:
+            assert all(len(need.text) > 20 and "pydantic" not in need.text for need in facts.needs)
             continue
         folder = Path(tmp_path) / path.stem
         folder.mkdir()

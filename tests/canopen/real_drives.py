@@ -11,6 +11,7 @@ from scripted_node import READ_ONLY, ScriptedNode
 
 DRIVES = ("e35", "elmo_gold", "epos2", "epos4", "foc_mc", "ipos", "nanotec_cl4e", "prbt", "roboteq", "schunk")
 SIZES = {2: 1, 3: 2, 4: 4, 5: 1, 6: 2, 7: 4}  # bytes by data type (CiA 301)
+BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s, of CiA 301
 WRITABLE = ("rw", "rww", "rwr", "wo")
 
 Objects = dict[tuple[int, int], dict[str, str]]
@@ -40,11 +41,23 @@ def bytes_of(objects: Objects, node_id: int) -> dict[tuple[int, int], bytes]:
 
 def eds_of(path: Path) -> str:
     """The file as an EDS (CiA 306), with every number as the vendor wrote it."""
-    objects, name = described(path), yaml.safe_load(path.read_text())["drive"]
-    lines = ["[DeviceInfo]", "VendorName=", f"ProductName={name}"]
+    objects, file = described(path), yaml.safe_load(path.read_text())
+    lines = ["[DeviceInfo]", "VendorName=", f"ProductName={file['drive']}"]
+    lines += [f"BaudRate_{rate}={int(str(rate) in file['bit_rates'])}" for rate in BIT_RATES]
+    return "\n".join([*lines, *_identity(objects), *sections_of(objects)]) + "\n"
+
+
+def _identity(objects: Objects) -> list[str]:
+    lines = []
     for key, sub in (("VendorNumber", 1), ("ProductNumber", 2)):
         if value := objects.get((0x1018, sub), {}).get("default"):
             lines.append(f"{key}={value}")
+    return lines
+
+
+def sections_of(objects: Objects) -> list[str]:
+    """The objects as sections of an EDS."""
+    lines: list[str] = []
     for index in sorted({index for index, _ in objects}):
         subs = sorted(sub for found, sub in objects if found == index)
         if subs == [0]:
@@ -53,7 +66,7 @@ def eds_of(path: Path) -> str:
         lines += ["", f"[{index:X}]", "ParameterName=x", "ObjectType=0x9", f"SubNumber={len(subs)}"]
         for sub in subs:
             lines += _entry(f"{index:X}sub{sub:X}", objects[index, sub])
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _entry(section: str, row: dict[str, str]) -> list[str]:

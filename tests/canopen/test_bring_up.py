@@ -267,9 +267,11 @@ def test_a_servo_drive_with_further_bits_is_one(config):
 def test_no_cyclic_synchronous_torque(config):
     objects = servo_dictionary(NODE) | {(0x6502, 0): struct.pack("<I", 0xFF)}
     text = refusal(config, ScriptedNode(config.bus, NODE, objects))
-    assert "no mode 10 (cyclic synchronous torque): 0x6502:00 says 0x000000FF, bit 9 is needed; it has profile" in text
+    assert (
+        "no mode 10 (cyclic synchronous torque): 0x6502:00 says 0x000000FF, bit 9 is needed; set drive.mode: 4" in text
+    )
     text = refusal(config, ScriptedNode(config.bus, NODE, without(0x6502)))
-    assert "0x6502:00 is missing, bit 9 is needed; a drive that has the mode and does not say so takes" in text
+    assert "0x6502:00 is missing, bit 9 is needed; set drive.modes_told: false" in text
 
 
 def test_the_mode_must_be_displayed(config):
@@ -365,7 +367,7 @@ def test_a_drive_that_sends_sync_is_silenced_before_its_cob_id_changes(config):
 def test_an_inhibit_time_is_needed_for_events_only(config):
     config = dataclasses.replace(config, tpdos=feedback_pdos(NODE, 10, 255))
     text = refusal(config, ScriptedNode(config.bus, NODE, without((0x1802, 3))))
-    assert "no inhibit time 0x1802:03" in text
+    assert "no inhibit time (0x1802:03)" in text
     config = dataclasses.replace(config, tpdos=None, status_event=0)
     with ScriptedNode(config.bus, NODE, without((0x1802, 3))), CanopenDrive(config):
         pass

@@ -124,7 +124,8 @@ def test_to_go_without_must_be_said(config):
     del bare[0x1400, 5]
     text = refusal(config, bare)
     assert "object 0x1016:01 is missing (the drive notices that the PC is silent)" in text
-    assert "drive.silence_detection: vendor, with the objects in drive.sdo, or none, which accepts it" in text
+    assert "; drive.silence_detection: vendor, with the objects of the drive's own watchdog in drive.sdo" in text
+    assert "or none, which accepts that it keeps its last command when the PC is silent" in text
     assert "object 0x6007:00 is missing" in text
     accepted = dataclasses.replace(config, silence_detection="none", silence_reaction="none", command_timeout_ms=0)
     with ScriptedNode(config.bus, NODE, bare), CanopenDrive(accepted) as drive:
@@ -133,7 +134,9 @@ def test_to_go_without_must_be_said(config):
 
 def test_a_refusal_names_what_stands_in(config):
     text = refusal(config, objects_of(GUARDING, without=(0x1016,)))
-    assert "set drive.silence_detection: life_guarding (the drive watches our guarding requests" in text
+    assert (
+        "the drive watches our guarding requests (0x100C, 0x100D); set drive.silence_detection: life_guarding" in text
+    )
 
 
 def test_a_consumer_entry_of_another_node_is_left_alone(config):
@@ -238,7 +241,7 @@ def test_a_drive_that_does_not_tell_profile_and_modes(config):
     bare = objects_of({(0x1000, 0): U32(0)}, without=(0x6502,))
     text = refusal(config, bare)
     assert "set drive.device_profile: null" in text
-    assert "takes drive.modes_told: false" in text
+    assert "set drive.modes_told: false" in text
     known = dataclasses.replace(config, device_profile=None, modes_listed=False)
     with ScriptedNode(config.bus, NODE, bare), CanopenDrive(known) as drive:
         assert drive.identity is not None

@@ -21,16 +21,12 @@ from fffo_drive.drive.port import DriveRefusedError
 
 NODE = 32
 PERIOD_NS = 1_000_000
-NO_TORQUE = {  # the one reason why not
-    "epos2": ["object 0x6071:00 is missing (the torque that is commanded)",
-              "object 0x6077:00 is missing (the torque that comes back)",
-              ],
-    "prbt": ["there is no mode 10 (cyclic synchronous torque)"],
-    "schunk": ["there is no mode 10 (cyclic synchronous torque)"],
+NO_TORQUE = {  # why not
+    "epos2": ["object 0x6071:00 is missing (the torque that is commanded)"],
+    "prbt": ["there is no mode 10 (cyclic synchronous torque)", "object 0x6071:00 is missing"],
+    "schunk": ["there is no mode 10 (cyclic synchronous torque)", "object 0x6071:00 is missing"],
 }  # fmt: skip
 RATINGS = {"e35": {"rated_torque_nm": 0.31}}  # of the motor: no part of a profile
-OWN_KEYS = {"technosoft_ipos": {"target": {"object": 0x201C, "bits": 32, "units_per_a": 65536.0 * 3276},
-                                "torque_feedback": {"object": 0x207E, "bits": 16, "units_per_a": 3276.0}}}  # fmt: skip
 LEFT_TO_THE_DRIVE = {(0x1000, 0): "0x20192", (0x6502, 0): "0x200"}  # where the file is silent
 IPOS_OBJECTS = {  # of the vendor's own, which the public file leaves out
     (0x201C, 0): {"type": "0x4", "access": "rww", "pdo": "1"},
@@ -95,9 +91,8 @@ def test_a_drive_without_one_is_refused_with_the_reason(name: str, tmp_path: Pat
      ("ipos", "technosoft_ipos"), ("nanotec_cl4e", "nanotec_cl4e"), ("roboteq", "roboteq")],
 )  # fmt: skip
 def test_the_profile_that_ships_brings_its_drive_up(name: str, profile: str, tmp_path: Path) -> None:
-    keys = read_profile(shipped_profiles()[profile]).keys | OWN_KEYS.get(profile, {})
-    if name != "ipos":  # its file leaves the vendor's objects out
-        assert fitness(name, tmp_path, keys).refusals == ()
+    keys = read_profile(shipped_profiles()[profile]).keys
+    assert fitness(name, tmp_path, keys).refusals == ()
     refusal = brought_up(name, {**keys, **RATINGS.get(name, {})})
     assert not refusal or "0x6076:00 is 0: the drive does not know the rating" in refusal
 
@@ -120,7 +115,7 @@ def test_a_drive_that_tells_its_vendor_is_offered_its_profile(name: str) -> None
                  "velocity_units_per_rps": 2000.0, "silence_detection": "life_guarding", "silence_reaction": "none"}),
         ("epos4", {"velocity_units_per_rps": 60.0}),
         ("elmo_gold", {}),
-        ("foc_mc", {"mode": 4, "silence_reaction": "none",
+        ("foc_mc", {"mode": 4, "silence_reaction": "none", "bitrate_hz": 800_000,
                     "pdo": {"command": 2, "motion": 2, "status": 3, "event": 1}}),
         ("roboteq", {"mode": 4, "torque_slope": 1_000_000, "silence_reaction": "none"}),
     ],

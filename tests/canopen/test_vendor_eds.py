@@ -53,7 +53,6 @@ REFUSALS = {
         "TPDO1: its mapping is fixed to 0x60410010",
         "TPDO2: object 0x6077:00/16 cannot be mapped to a PDO",
         "TPDO2: its mapping is fixed to 0x60410010",
-        "TPDO3: its transmission type is 1 to 240, 0 (SYNC) is needed",
     ],
 }
 

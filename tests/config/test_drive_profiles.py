@@ -13,21 +13,19 @@ from fffo_drive.config.commissioning import declared_facts
 from fffo_drive.config.drive_profile import (
     OF_ONE_AXIS,
     ProfileKeys,
-    merged,
     profile_for,
     profile_path,
     read_profile,
     shipped_profiles,
 )
-from fffo_drive.config.drive_proposal import config_of
-from fffo_drive.config.drive_section import CanopenDriveSection
+from fffo_drive.config.drive_proposal import config_of, open_units
+from fffo_drive.config.drive_section import CanopenDriveSection, merged
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.parameters import read_model
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 MODEL = read_model(CONFIGS / "models" / "table1.yaml")
 BUS = {"kind": "canopen", "bus": "loopback:0", "node_id": 1, "rated_torque_nm": 1.0}
-IPOS_UNITS = {"target": {"units_per_a": 65536 * 3276}, "torque_feedback": {"units_per_a": 3276}}
 
 
 def axis_file(folder: Path, **drive: object) -> Path:
@@ -42,11 +40,13 @@ def axis_file(folder: Path, **drive: object) -> Path:
 
 @pytest.mark.parametrize("name", sorted(shipped_profiles()))
 def test_every_profile_that_ships_makes_a_drive_section(tmp_path: Path, name: str) -> None:
-    own = IPOS_UNITS if name == "technosoft_ipos" else {}
-    axis = read_axis(axis_file(tmp_path, profile=name, **own))
-    keys = read_profile(shipped_profiles()[name]).keys
+    profile = read_profile(shipped_profiles()[name])
+    keys = profile.keys
+    open_keys = {key.partition(".")[0] for key in profile.to_fill_in if key.endswith(".units_per_a")}
+    assert open_keys == set(open_units(keys))  # the profile says where each of its open values is found
+    axis = read_axis(axis_file(tmp_path, profile=name, **{key: {"units_per_a": 1000} for key in open_keys}))
     for key, value in keys.items():
-        if key not in ("sdo", *IPOS_UNITS):
+        if key not in ("sdo", *open_keys):
             found = getattr(axis.drive, key)
             assert (found.model_dump() if key == "pdo" else found) == value
     config = axis.drive.drive_config(0.1, 1_000_000)

@@ -16,8 +16,8 @@ from ..port import DriveIdentity, DriveRefusedError
 from . import silence
 from .checked import write_checked, write_if_present
 from .config import CanopenDriveConfig
-from .needs import check_device_type, check_modes, mode_text, needs
-from .object_map import MODE, MODE_DISPLAY, PdoMap, interpolation_period
+from .needs import mode_text, needs
+from .object_map import MODE, MODE_DISPLAY, PdoMap, interpolation_period, object_name
 from .sdo_objects import SdoObjects
 from .sdo_writes import write_phase
 from .service import (
@@ -29,7 +29,6 @@ from .service import (
     Kept,
     SdoRefusedError,
     Service,
-    object_name,
 )
 
 COB_ID_INVALID = 1 << 31
@@ -128,10 +127,9 @@ def _reset(service: Service, config: CanopenDriveConfig) -> None:
 
 def _check_drive(service: Service, config: CanopenDriveConfig) -> None:
     """Check the drive itself against the list of requirements that `drive-info` applies to a file."""
-    objects = SdoObjects(service.read, most_timeouts=1)
-    problems = [*check_device_type(objects, config), *check_modes(objects, config), *needs(objects, config)]
-    if problems:
-        raise DriveRefusedError(f"node {service.node_id}: {'; '.join(problems)}")
+    found = needs(SdoObjects(service.read, most_timeouts=1), config)
+    if found:
+        raise DriveRefusedError(f"node {service.node_id}: {'; '.join(str(need) for need in found)}")
 
 
 def _check_ratings(service: Service, config: CanopenDriveConfig) -> None:
@@ -233,11 +231,7 @@ def _configure_pdo(service: Service, first_index: int, pdo: PdoMap) -> None:
     if not receives:
         # a leftover inhibit time or timer would delay or add frames
         inhibit = pdo.inhibit_ns // 100_000
-        if not write_if_present(service, communication, 3, inhibit, 2, f"the inhibit time of {purpose}") and inhibit:
-            raise DriveRefusedError(
-                f"node {service.node_id} has no inhibit time 0x{communication:04X}:03 for {purpose}: "
-                "set drive.status_event to 0 (with the next SYNC)"
-            )
+        write_if_present(service, communication, 3, inhibit, 2, f"the inhibit time of {purpose}")
         write_if_present(service, communication, 5, 0, 2, f"{purpose} without an event timer")
     fixed_count = _count_is_fixed(service, mapping, len(pdo.objects), purpose)
     for sub, item in enumerate(pdo.objects, 1):

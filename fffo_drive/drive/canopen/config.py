@@ -40,6 +40,7 @@ ModeDisplay = Literal["at_once", "with_sync", "not_checked"]
 # every cyclic master sends SYNC or commands within this time, this program a heartbeat; heartbeats of nodes take up to
 # 1 s
 LISTEN_S = 0.5
+HOST_S = 100e-6  # wake-up, reading and computing on an ordinary PC
 ONE_MASTER = (
     "one bus has one master, and several axes on one bus under one SYNC are not built yet: end the other master "
     "(a device may send SYNC too: 0x1005, bit 30), or use another bus"
@@ -172,6 +173,12 @@ def chain_of(config: CanopenDriveConfig, turnaround_s: float, host_s: float) -> 
         turnaround_s=turnaround_s,
         host_s=host_s,
     )
+
+
+def bus_carries(config: CanopenDriveConfig, turnaround_s: float) -> bool:
+    """Whether a period has time for all that is sent in it, when nothing else is in the way."""
+    chain = chain_of(config, turnaround_s, HOST_S)
+    return load_of(config).worst <= 1.0 and chain.typical_s <= chain.period_s
 
 
 def _problems(config: CanopenDriveConfig) -> Iterator[str]:

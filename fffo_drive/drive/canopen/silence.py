@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from ..port import DriveRefusedError
 from .checked import write_checked, write_if_present
-from .service import Service, object_name
+from .service import Service
 
 if TYPE_CHECKING:
     from .config import CanopenDriveConfig
@@ -43,6 +43,14 @@ class DriveObjects(Protocol):
         ...
 
 
+class MappableObjects(DriveObjects, Protocol):
+    """The same, with what is known of PDOs."""
+
+    def mappable(self, index: int, sub: int = 0) -> bool:
+        """Whether a PDO may carry an object, as far as that is known before it is tried."""
+        ...
+
+
 class Way(NamedTuple):
     """One way: the objects that it needs, and a description."""
 
@@ -67,34 +75,13 @@ REACTIONS: dict[str, Way] = {
 
 def available(objects: DriveObjects, ways: dict[str, Way], rpdo: int = 1) -> list[str]:
     """The ways that need objects and whose objects a drive has, best first."""
-    return [
-        name
-        for name, way in ways.items()
-        if way.objects and all(objects.has(index + _slot(index, rpdo), sub) for index, sub in way.objects)
-    ]
+    return [name for name, way in ways.items() if way.objects and not lacking(objects, way, rpdo)]
 
 
-def missing(objects: DriveObjects, detection: str, reaction: str, rpdo: int = 1) -> list[str]:
-    """What the chosen ways lack in this drive: one sentence each, with a substitute."""
-    found = []
-    for key, chosen, ways, purpose in (
-        ("silence_detection", detection, DETECTIONS, "the drive notices that the PC is silent"),
-        ("silence_reaction", reaction, REACTIONS, "what the drive does when the PC is silent"),
-    ):
-        wanted = [(index + _slot(index, rpdo), sub) for index, sub in ways[chosen].objects]
-        lacking = [object_name(index, sub) for index, sub in wanted if not objects.has(index, sub)]
-        if not lacking:
-            continue
-        others = available(objects, ways, rpdo)
-        remedy = (
-            f"set drive.{key}: {others[0]} ({ways[others[0]].text})"
-            if others
-            else f"drive.{key}: vendor, with the objects in drive.sdo, or none, which accepts it"
-        )
-        noun = "object" if len(lacking) == 1 else "objects"
-        verb = "is" if len(lacking) == 1 else "are"
-        found.append(f"{noun} {', '.join(lacking)} {verb} missing ({purpose}); {remedy}")
-    return found
+def lacking(objects: DriveObjects, way: Way, rpdo: int = 1) -> list[Object]:
+    """The objects of a way that a drive does not have."""
+    wanted = [(index + _slot(index, rpdo), sub) for index, sub in way.objects]
+    return [(index, sub) for index, sub in wanted if not objects.has(index, sub)]
 
 
 def _slot(index: int, rpdo: int) -> int:
