@@ -28,6 +28,7 @@ from ..workflows.bring_up import BringUpReport, Wishes, bring_up_axis
 from ..workflows.drive_facts import OPTIONS, Answers
 from ..workflows.rate_trial import RateTrial
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_OK, EXIT_UNAVAILABLE
+from .reset import add_reset_option
 
 WIDTH = 80
 MARKS = {Severity.FAILURE: "in the way", Severity.WARNING: "look at", Severity.OK: "ok"}
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, default=2.0, metavar="S", help="seconds of measurement at each rate (2)"
     )
     parser.add_argument("--no-measure", action="store_true", help="do not measure: read objects and write files only")
+    add_reset_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask: accept assumed values; nothing moves")
     parser.add_argument("--json", action="store_true", help="print one JSON object, do not ask")
     known = parser.add_argument_group("values that the drive does not report, or reports wrongly")
@@ -64,13 +66,15 @@ def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     if not 0.1 <= options.seconds <= 600.0:
         raise SystemExit("fffo-drive bring-up: --seconds: 0.1 to 600")
+    if options.reset_fault and options.no_measure:
+        raise SystemExit("fffo-drive bring-up: --reset-fault: the measurement resets it: not with --no-measure")
     may_ask = sys.stdin.isatty() and not (options.yes or options.json)
     answers = Answers(**{name: getattr(options, name) for name in Answers._fields})
     if answers.counts_per_rev is not None:
         answers = answers._replace(counts_per_rev=round(answers.counts_per_rev))
     wishes = Wishes(
         options.bus, Path(options.out), options.node, options.assign, answers, options.profile,
-        options.bitrate, options.force, not options.no_measure, options.seconds,
+        options.bitrate, options.force, not options.no_measure, options.seconds, options.reset_fault,
     )  # fmt: skip
     report = bring_up_axis(wishes, Terminal(may_ask, quiet=options.json))
     if options.json:

@@ -32,6 +32,7 @@ from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan
 from ..workflows.progress import CHECK_MARK, LINES_ENVIRONMENT, QUESTION_MARK
 from .exits import UnconfirmedError
+from .reset import add_reset_option
 
 PICTURE_POINTS = 300  # of a motion, for a page
 COLOURS = {"ok": "green", "warning": "yellow", "failed": "red", "not_done": "dim"}
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="record to write (default: the file's commissioning, else NAME.commissioning.yaml)",
     )
+    add_reset_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before each motion")
     parser.add_argument("--accept", action="store_true", help="enter the passed record in AXIS; nothing moves")
     parser.add_argument("--json", action="store_true", help="print the record as one JSON object")
@@ -81,7 +83,7 @@ def execute(options: argparse.Namespace) -> int:
         console.print(f"  {text}", soft_wrap=True, highlight=False)
 
     try:
-        record = commission_axis(plan, bounds, out, options.bus, tell, _seen, may_move)
+        record = commission_axis(plan, bounds, out, options.bus, tell, _seen, may_move, options.reset_fault)
     except NotAgreedError as error:
         raise UnconfirmedError(str(error)) from None
     if options.json:

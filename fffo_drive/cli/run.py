@@ -32,6 +32,7 @@ from ..workflows.plan import Plan, make_plan, open_drive
 from ..workflows.record import record_run, summarise
 from ..workflows.recordings import claim
 from .progress import progress_bar
+from .reset import add_reset_option
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="enable a drive on a bus without a commissioning record",
     )
+    add_reset_option(parser)
     parser.add_argument("--served", action="store_true", help="let the daemon that serves this axis run and record it")
     parser.add_argument(
         "--sockets", metavar="DIR", help="directory of that daemon's sockets (default: found by the axis's name)"
@@ -72,6 +74,8 @@ def execute(options: argparse.Namespace) -> int:
     wanted = TOGGLES[options.toggle] if options.toggle else None
     plan = make_plan(options.config, None if wanted is None else (wanted,), options.decide, options.profile)
     if options.served:
+        if options.reset_fault:
+            raise SystemExit("fffo-drive run: --reset-fault: of a served drive `fffo-drive ctl reset-fault` does it")
         return _served(options, plan)
     toggle = plan.toggle if wanted is None else wanted
     given = permission(plan.path, plan.axis, plan.model, options.uncommissioned)
@@ -79,7 +83,8 @@ def execute(options: argparse.Namespace) -> int:
     claim(out)
 
     drive = open_drive(plan, options.bus)
-    outcome = record_run(plan, drive, toggle, out, given, functools.partial(progress_bar, quiet=options.json))
+    bar = functools.partial(progress_bar, quiet=options.json)
+    outcome = record_run(plan, drive, toggle, out, given, bar, reset_fault=options.reset_fault)
     summary = summarise(plan, outcome, toggle)
     if options.json:
         print(json.dumps(summary, indent=2))

@@ -24,7 +24,7 @@ from ..control.envelope import (
 from ..control.reference import Profile
 from ..drive.port import Drive, DriveError, DriveIdentity
 from ..model.parameters import ModelFile
-from ..runtime.session import SessionConfig
+from ..runtime.session import Session, SessionConfig
 from ..units import PERMILLE
 from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
@@ -126,15 +126,17 @@ def _unexplained_text(share: float) -> str:
 def commission(
     drive: Drive, session: SessionConfig, model: ModelFile, facts: DeclaredFacts, bounds: Bounds,
     tell: Callable[[str], None] = lambda text: None, seen: Seen = lambda check, motion: None,
-    may_move: MayMove = lambda motion: True,
+    may_move: MayMove = lambda motion: True, prepare: Callable[[Session], None] = lambda session: None,
 ) -> CommissioningOutcome:  # fmt: skip
     """Check a drive that is not connected yet; it is left without torque. `session`: of the axis file.
 
     `tell` gets a line for each step, `seen` each check as it comes, `may_move` each motion before it is made, with the
-    axis without torque. Raises DriveError if the drive cannot be brought up, BoundsError if there is no room,
-    NotAgreedError, RealtimeRefusedError.
+    axis without torque. `prepare` gets the first session on a bus, before anything is asked of the drive.
+
+    Raises DriveError if the drive cannot be brought up, BoundsError if there is no room, NotAgreedError,
+    RealtimeRefusedError.
     """
-    rig = Rig(drive, session, bounds.time_s, tell)
+    rig = Rig(drive, session, bounds.time_s, tell, prepare)
     procedure = _Procedure(rig, beliefs_of(model), facts, bounds, tell, seen, may_move)
     reason, declined = "", None
     try:

@@ -57,10 +57,13 @@ class Rig:
     """A drive and the session to use it with."""
 
     def __init__(
-        self, drive: Drive, session: SessionConfig, longest_s: float, tell: Callable[[str], None] = lambda text: None
-    ) -> None:
+        self, drive: Drive, session: SessionConfig, longest_s: float, tell: Callable[[str], None] = lambda text: None,
+        prepare: Callable[[Session], None] = lambda session: None,
+    ) -> None:  # fmt: skip
+        """`prepare` gets the first session on a bus, before anything is asked of the drive."""
         self.drive = drive
         self._tell = tell
+        self._prepare: Callable[[Session], None] | None = prepare
         self._reported: set[str] = set()
         self.period_s = session.loop.period_ns * 1e-9
         self.identity: DriveIdentity | None = None
@@ -83,6 +86,9 @@ class Rig:
                 for refusal in set(session.start().refusals) - self._reported:
                     self._reported.add(refusal)
                     self._tell(f"without real-time properties: {refusal}")
+                if self._prepare is not None:
+                    self._prepare(session)
+                    self._prepare = None
             yield Runner(session, self)
 
     def pass_on(self, warnings: list[str]) -> None:

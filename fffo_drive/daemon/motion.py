@@ -128,7 +128,7 @@ class MotionRequests:
 
     def reset_fault(self) -> None:
         """Clear the latched trip, and the drive's fault."""
-        self._session.request(b.RESET_NUMBER, int(self._session.blocks.control[b.RESET_NUMBER]) + 1)
+        self._session.reset_fault()
 
     @property
     def braking(self) -> bool:

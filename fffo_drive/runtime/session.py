@@ -134,6 +134,10 @@ class Session:
         with self._asking, self._recorded(records.of_word(kind, value)):
             store_release(self.blocks.control, word, value)
 
+    def reset_fault(self) -> None:
+        """Ask for a reset: the latched trip is cleared, and the drive's fault by one rise of bit 7."""
+        self.request(b.RESET_NUMBER, self._next(b.RESET_NUMBER))
+
     def note_request(self, who: str, what: str, values: Mapping[str, Any], epoch: int | None = None) -> None:
         """Record a request of a client, before the records of its consequences."""
         with self._asking, self._recorded(records.of_request(who, what, values, epoch)):

@@ -28,6 +28,8 @@ from ..drive.canopen.sdo_objects import SdoObjects
 from ..drive.canopen.service import Emergency, service_filters
 from ..drive.port import BusOccupiedError, BusUnavailableError, DriveRefusedError
 from ..model.parameters import ModelFile
+from ..runtime.fault_at_start import clear_fault
+from ..runtime.session import Session
 from ..system.bus import interface_bitrate_hz
 from ..system.findings import HostFinding, Severity, failure, ok, warning
 from ..system.host import Host
@@ -82,6 +84,7 @@ class Wishes(NamedTuple):
     force: bool = False
     measure: bool = True
     seconds: float = 2.0  # at each rate
+    reset_fault: bool = False  # of a drive that is in fault, by the loop of the measurement
 
 
 class BringUpReport(NamedTuple):
@@ -316,16 +319,20 @@ def _propose(
     emergencies: Sequence[Emergency], talk: Talk,
 ) -> BringUpReport:  # fmt: skip
     """Trials, findings, files."""
+
+    def obstacles(operational: bool) -> list[HostFinding]:
+        return stands_between(objects, emergencies, operational, facts.written, _reset_command(wishes, node))
+
     found = found._replace(
         objects=objects.values, unreadable=dict(objects.unreadable), facts={**facts.scales, **facts.section},
         profile=facts.profile, notes=facts.profile_remarks,
     )  # fmt: skip
     if facts.unusable:
-        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
+        findings = [*_of_facts(facts), *obstacles(False)]
         text = f"CANNOT BE USED: {_who(node)} lacks what this program needs; no axis file was written"
         return found._replace(verdict=text, findings=_in_order(findings))
     if facts.missing:
-        findings = [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
+        findings = [*_of_facts(facts), *obstacles(False)]
         asked = "; ".join(f"{OPTIONS[name][0]} ({OPTIONS[name][1]})" for name in facts.missing)
         findings.insert(0, failure("unknown", f"the drive does not report: {asked}", "give them with these options"))
         options = tuple(OPTIONS[name][0] for name in facts.missing)
@@ -339,14 +346,14 @@ def _propose(
             failure("values", text, "the drive reports an impossible value: give the right one with an option")
             for text in str(error).splitlines()
         ]
-        findings += [*_of_facts(facts), *stands_between(objects, emergencies, False, facts.written)]
+        findings += [*_of_facts(facts), *obstacles(False)]
         text = _verdict(node, findings, None, "no axis file was written")
         return found._replace(verdict=text, findings=_in_order(findings))
     trials: list[RateTrial] = []
-    operational = False
+    operational, cleared = False, ""
     if wishes.measure and not facts.needs:  # what it lacks would be refused
-        trials, later = _try_rates(wishes, draft, objects, talk)
-        emergencies = [*emergencies, *later]
+        trials, later, cleared = _try_rates(wishes, draft, objects, talk)
+        emergencies = later if cleared else [*emergencies, *later]
         operational = any(not trial.refused for trial in trials)
     turnaround_us = turnaround_of_drive_us(trials, found.adapter, draft.axis)
     choice = (
@@ -356,7 +363,8 @@ def _propose(
         if trials
         else None
     )
-    findings = [*_of_facts(facts), *stands_between(objects, emergencies, operational, facts.written)]
+    findings = [*_of_facts(facts), *obstacles(operational)]
+    findings += [warning("fault", cleared, "look up its code in the vendor's manual")] if cleared else []
     findings += velocity_step(
         facts.scales["velocity_units_per_rps"].value, draft.axis.controller.observer.feedback_band_rps
     )
@@ -372,6 +380,12 @@ def _propose(
         trials=tuple(trials), choice=choice, axis_file=wishes.out, model_file=model_file,
         next_command=f"fffo-drive commission {shlex.quote(str(wishes.out))}",
     )  # fmt: skip
+
+
+def _reset_command(wishes: Wishes, node: NodeName) -> str:
+    """The same bring-up, which clears a fault first. What it has written now it overwrites then."""
+    words = ["fffo-drive", "bring-up", wishes.bus, "--node", str(node.node_id), "--out", str(wishes.out)]
+    return shlex.join([*words, "--force", "--reset-fault"])
 
 
 def _in_order(findings: Sequence[HostFinding]) -> tuple[HostFinding, ...]:
@@ -439,19 +453,32 @@ def _place(wishes: Wishes, found: BringUpReport, node: NodeName, facts: SourcedF
 
 def _try_rates(
     wishes: Wishes, draft: Draft, objects: SdoObjects, talk: Talk
-) -> tuple[list[RateTrial], list[Emergency]]:
-    """Trials from the lowest rate up until one is impossible, and the drive's emergency messages meanwhile."""
+) -> tuple[list[RateTrial], list[Emergency], str]:
+    """Trials from the lowest rate up until one is impossible, EMCY meanwhile, and a fault that was cleared."""
     emergencies: list[Emergency] = []
+    cleared: list[str] = []
+
+    def prepare(session: Session) -> None:
+        if not wishes.reset_fault:
+            return
+        try:
+            text = clear_fault(session, True, "")
+        except DriveRefusedError as error:  # it is among the findings
+            text = ""
+            talk.tell(f"  {error}")
+        if text:
+            talk.tell(f"  {text}")
+            cleared.append(text)
 
     def look(drive: CanopenDrive) -> None:
         objects.read_again(drive.read_object)  # what changes, while the drive is operational
-        emergencies.extend(drive.emergencies)
+        emergencies.extend(() if cleared else drive.emergencies)
 
     talk.tell("measuring without torque: SYNC and feedback, the drive stays disabled")
     talk.tell("  (the first time, the loop is compiled, which takes a minute or two)")
     trials: list[RateTrial] = []
     for rate_hz in RATES_HZ:
-        trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, look)
+        trial = try_rate(draft.axis, draft.model, rate_hz, wishes.seconds, look, prepare=prepare)
         trials.append(trial)
         if trial.refused:
             talk.tell(f"  {rate_hz} Hz: not possible: {trial.refused}")
@@ -461,7 +488,7 @@ def _try_rates(
             f"{trial.turnaround_us.most:.0f}), "
             f"{trial.missing} of {trial.ticks} missing, {trial.late + trial.skipped} late"
         )
-    return trials, emergencies
+    return trials, emergencies, "; ".join(cleared)
 
 
 def _of_trials(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +20,8 @@ from ..config.drive_section import CanopenDriveSection
 from ..config.runaway import runaway_problems
 from ..documents import DocumentError
 from ..model.parameters import content_hash
+from ..runtime.fault_at_start import clear_fault
+from ..runtime.session import Session
 from .plan import Plan, open_drive, plan_session
 
 
@@ -48,12 +51,14 @@ def bounds_of(
 
 def commission_axis(
     plan: Plan, bounds: Bounds, out: Path, bus: str | None = None, tell: Callable[[str], None] = lambda text: None,
-    seen: Seen = lambda check, motion: None, may_move: MayMove = lambda motion: True,
+    seen: Seen = lambda check, motion: None, may_move: MayMove = lambda motion: True, reset_fault: bool = False,
 ) -> CommissioningRecord:  # fmt: skip
     """Check the drive of an axis file with small pulses, and write the record to `out`. The axis moves.
 
     `bus`: replaces the file's; `tell` gets a line for each step, `seen` each check as it is done, and `may_move` says
-    whether the next motion may be made. Raises DocumentError, DriveError, NotAgreedError, OSError.
+    whether the next motion may be made; `reset_fault`: of a drive that is in fault, first of all.
+
+    Raises DocumentError, DriveError, NotAgreedError, OSError.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(out.parent, os.W_OK):  # before anything moves
@@ -61,7 +66,13 @@ def commission_axis(
     facts = declared_facts(plan.axis, plan.model)
     drive = open_drive(plan, bus)
     try:
-        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell, seen, may_move)
+        command = f"fffo-drive commission {shlex.quote(str(plan.path))} --reset-fault"
+
+        def prepare(session: Session) -> None:
+            if cleared := clear_fault(session, reset_fault, command):
+                tell(cleared)
+
+        outcome = commission(drive, plan_session(plan), plan.model, facts, bounds, tell, seen, may_move, prepare)
     except BoundsError as error:
         require(plan.path, [f"envelope.position_window_rev: {error}"])
         raise

@@ -190,10 +190,13 @@ def problems_at(axis: AxisFile, model: ModelFile, rate_hz: int, turnaround_us: f
 def try_rate(
     axis: AxisFile, model: ModelFile, rate_hz: int, seconds: float,
     meanwhile: Callable[[CanopenDrive], None] = lambda drive: None, host: Host | None = None,
+    prepare: Callable[[Session], None] = lambda session: None,
 ) -> RateTrial:  # fmt: skip
     """Bring the drive up at a rate, run SYNC, measure, and leave it without voltage.
 
-    `meanwhile` gets the drive while it is in NMT OPERATIONAL. Raises BusUnavailableError when nobody answers.
+    `prepare` gets the session before the measurement, `meanwhile` the drive after it, in NMT OPERATIONAL.
+
+    Raises BusUnavailableError when nobody answers.
     """
     section = axis.drive
     assert isinstance(section, CanopenDriveSection)
@@ -218,6 +221,7 @@ def try_rate(
         return RateTrial(rate_hz, str(error))
     with Session(drive, session_settings) as session:
         report = session.start()
+        prepare(session)
         reader = RingReader(session.ring)
         time.sleep(SETTLE_S)
         reader.read()

@@ -36,17 +36,18 @@ HISTORY = 3  # entries of 0x1003 that are reported
 
 
 def stands_between(
-    objects: SdoObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = ()
-) -> list[HostFinding]:
+    objects: SdoObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = (),
+    reset_command: str = "fffo-drive bring-up BUS --reset-fault",
+) -> list[HostFinding]:  # fmt: skip
     """All findings, in the order in which they should be mended.
 
     `operational`: the drive was in NMT OPERATIONAL when its state was read. `written`: objects that the axis file
-    writes before the drive is enabled (0x6076:00).
+    writes before the drive is enabled (0x6076:00). `reset_command`: clears a fault.
     """
     word = objects.value(0x6041)
     found = [
         *_state(word),
-        *_fault(objects, emergencies, word),
+        *_fault(objects, emergencies, word, reset_command),
         *_supply(objects, word),
         *_control(word, operational),
         *_inputs(objects, word),
@@ -99,7 +100,9 @@ def _state(word: int | None) -> Iterator[HostFinding]:
         yield warning("warning", "the drive warns (bit 7 of the statusword)", "see its codes")
 
 
-def _fault(objects: SdoObjects, emergencies: Sequence[Emergency], word: int | None) -> Iterator[HostFinding]:
+def _fault(
+    objects: SdoObjects, emergencies: Sequence[Emergency], word: int | None, reset_command: str
+) -> Iterator[HostFinding]:
     said = []
     if code := objects.value(0x603F):
         said.append(f"0x603F {code_text(code)}")
@@ -113,8 +116,7 @@ def _fault(objects: SdoObjects, emergencies: Sequence[Emergency], word: int | No
     if word is not None and state_of(word) in FAULT_STATES:
         yield failure(
             "fault", "; ".join([f"statusword 0x{word:04X}: {state_name(word)}", *said, *past]),
-            "look up the code in the vendor's manual and remove the cause; then switch the drive off and on, or reset "
-            "the fault with the vendor's tool",
+            f"look up the code in the vendor's manual and remove the cause; then clear it: `{reset_command}`",
         )  # fmt: skip
     elif said:
         yield warning("fault", "; ".join([*said, *past]), "look up the code in the vendor's manual")

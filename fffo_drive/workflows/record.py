@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from ..config.commissioning import Permission
 from ..config.runaway import accepted_words
 from ..drive.port import Drive
 from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
+from ..runtime.fault_at_start import clear_fault
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows
 from ..runtime.session import Session
 from .plan import Plan, connect, effect_monitor, plan_session, run_header, toggle_name
@@ -20,11 +23,11 @@ from .recordings import recorded_rows, recorder_hooks
 
 def record_run(
     plan: Plan, drive: Drive, toggle: int, out: Path, given: Permission,
-    bar: Bar = no_bar, ring_rows: int | None = None,
+    bar: Bar = no_bar, ring_rows: int | None = None, reset_fault: bool = False,
 ) -> RunOutcome:  # fmt: skip
     """Connect, run the profile of the plan and record it. `ring_rows`: None for the default. Raises DriveError.
 
-    `bar` appears when a run in real time begins.
+    `bar` appears when a run in real time begins. `reset_fault`: of a drive that is in fault, before anything moves.
     """
     for text in accepted_words(plan.axis, plan.model):
         print(f"warning: {text}", file=sys.stderr)
@@ -39,6 +42,10 @@ def record_run(
         report = session.start()
         for refusal in report.refusals:
             print(f"without real-time properties: {refusal}", file=sys.stderr)
+        cleared = clear_fault(session, reset_fault, f"fffo-drive run {shlex.quote(str(plan.path))} --reset-fault")
+        if cleared:
+            print(cleared, file=sys.stderr)
+            header = replace(header, metadata={**header.metadata, "at_start": cleared})
         monitor = effect_monitor(plan)
         with bar(f"{plan.axis.name} {toggle_name(toggle)}") as progress:
             return record_live(session, plan.profile, toggle, out, header, settings, hooks, progress, monitor)
