@@ -144,6 +144,8 @@ def test_nothing_moves_after_a_stop_on_any_way_and_hostile_clients_end_no_motion
     assert facts["motion after a stop: motions after an acknowledged stop"] == 0, facts
     assert facts["motion after a stop: races"] > 20
     assert sum(int(row["requests refused"]) for row in facts["motion after a stop"]) > 100
+    facts = sample("attacks", "--only", "foreign_frames")
+    assert facts["frames of somebody else: not named within 2 ticks"] == 0, facts
     facts = sample("stops")
     assert "abandoned" not in facts["faults"]
     facts = sample("hostile")

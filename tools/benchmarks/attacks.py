@@ -6,13 +6,15 @@ import sys
 from collections.abc import Callable
 
 from common import Report, Section, finish, main, parser
+from foreign_frames import foreign_frames
 from motion_after_stop import motion_after_stop
 
 from fffo_drive.daemon.client import ClientError
 
 NAME = "attacks"
 RACES, SAMPLE_RACES = 1000, 4
-SECTIONS: tuple[Callable[[int], Section], ...] = (motion_after_stop,)  # each with the number of races of a kind
+# each with the number of races of a kind
+SECTIONS: tuple[Callable[[int], Section], ...] = (motion_after_stop, foreign_frames)
 
 
 def run() -> int:

@@ -51,6 +51,10 @@ class ShaftOnBus:
             self._counts[place] = int.from_bytes(unpack_frame(heard.raw).data[4:8], "little", signed=True)
             self._heard += 1
 
+    def send(self, raw: bytes) -> None:
+        """A frame of somebody else's; this link does not hear itself."""
+        self._link.send(raw)
+
     def close(self) -> None:
         """Hear no more."""
         self._end.set()
@@ -67,6 +71,10 @@ class ShaftOnBus:
             if time.monotonic() > deadline_s:
                 raise RuntimeError("the drive sends nothing on the bus")
             time.sleep(0.001)
+        return self.heard_between(begin_ns, end_ns)
+
+    def heard_between(self, begin_ns: int, end_ns: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        """As `between`, without waiting: the drive may have been silenced."""
         last = self._heard
         places = np.arange(max(0, last - KEPT + 1), last) % KEPT
         times_ns = self._time_ns[places]
