@@ -8,6 +8,7 @@ fffo-drive fleet report STORE          page and JSON: spread over the drives of 
 fffo-drive fleet watch STORE           what changed in each drive's own history, and since when
 fffo-drive fleet diagnose STORE        diagnose the raw runs of each changed drive, before its change and now
 fffo-drive fleet compare A B           two runs, or two periods of a drive: what differs beyond chance
+fffo-drive fleet answer                for the unit fffo-drive-records@NAME: what a daemon asks for, on its socket
 
 STORE is a directory, or s3://BUCKET/PREFIX. Needs the extra `fleet`.
 
@@ -17,8 +18,11 @@ Exit codes: 0 done; 74 the store's disk is full or not writable; 78 bad input, o
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import os
+import socket
 import sys
 from functools import partial
 from pathlib import Path
@@ -35,6 +39,8 @@ if TYPE_CHECKING:
     from ..fleet.watch import Watched
 
 MOST_SHOWN = 20  # failures that status prints; --json has all
+LISTEN_FD = 3  # sd_listen_fds(3)
+LONGEST_REQUEST = 1 << 20  # bytes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     compare.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     compare.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
     compare.add_argument("--json", action="store_true", help="print one JSON object")
+    actions.add_parser("answer", help="make the records that a daemon asks for: started by its unit, not by hand")
 
 
 def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
@@ -355,7 +362,31 @@ def _compare(options: argparse.Namespace) -> int:
     return 0
 
 
+def _answer(_: argparse.Namespace) -> int:
+    """One request on the socket that the service manager has passed (sd_listen_fds(3)), and its answer."""
+    from . import main
+
+    if os.environ.get("LISTEN_PID") != str(os.getpid()) or os.environ.get("LISTEN_FDS") != "1":
+        raise DocumentError("fleet answer: fffo-drive-records@NAME.socket starts it; for yourself use fleet add --work")
+    with socket.socket(fileno=LISTEN_FD) as listener:
+        connection, _ = listener.accept()
+    with connection, connection.makefile("rb") as lines:
+        said = io.StringIO()
+        try:
+            wanted = json.loads(lines.readline(LONGEST_REQUEST))
+            words = ["--work", "--workers", "1", "--idle", "--json", "--", str(wanted["store"]), *wanted["files"]]
+        except (ValueError, KeyError, TypeError) as error:
+            code = EXIT_BAD_INPUT
+            said.write(f"not a request: {error}")
+        else:
+            with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+                code = main(["fleet", "add", *words])
+        problem = (said.getvalue().strip() or f"exit code {code}") if code else ""
+        connection.sendall(json.dumps({"problem": problem}).encode() + b"\n")
+    return 0
+
+
 _ACTIONS = {
     "add": _add, "work": _work, "status": _status, "compact": _compact, "report": _report, "watch": _watch,
-    "diagnose": _diagnose, "compare": _compare,
+    "diagnose": _diagnose, "compare": _compare, "answer": _answer,
 }  # fmt: skip

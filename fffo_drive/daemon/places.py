@@ -10,6 +10,7 @@ from ..directories import own_directory, require_own, shared_place
 
 CONTROL, WATCH = "control.sock", "watch.sock"
 TEMPORARY = "fffo-drive"
+SYSTEM_RECORDS = Path("/run/fffo-drive-records")
 SYSTEM_DIRECTORY = Path("/run/fffo-drive")  # RuntimeDirectory=fffo-drive/%i of the unit
 
 
@@ -32,6 +33,13 @@ def user_directory(environment: Mapping[str, str] = os.environ) -> Path:
     if not environment.get("XDG_RUNTIME_DIR") and os.path.lexists(base):
         require_own(base)
     return base / "fffo-drive"
+
+
+def records_socket(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Where the unit that makes records of the fleet is asked (fffo-drive-records@.socket); None without one."""
+    given = environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    path = SYSTEM_RECORDS / f"{Path(given).name}.sock"
+    return path if given and path.is_socket() else None
 
 
 def recordings_directory(environment: Mapping[str, str] = os.environ) -> Path | None:

@@ -14,20 +14,22 @@ in the logarithm of the gap and interpolated over it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Floats, Integers
-from ..identification.dataset import Record
+from ..arrays import Floats
 from ..identification.facts import DriveFacts
-from ..identification.kinematics import low_pass, sure_direction, travel_since_reversal_rev
+from ..identification.kinematics import low_pass, sure_direction
 from ..identification.ladder import HIGHEST_CUTOFF_PERIODS
-from ..identification.rows import RegressionStretch, rows_at, stretches_of
+from ..identification.rows import RegressionStretch, rows_at
 from ..jit import njit
+from ..least_squares import spectrum
 from ..model.effects import slots
 from ..model.effects.laws.backlash import CONTACT_HZ, LAW
-from .regress import COULOMB, INERTIA, Estimates, balance_columns, block_starts
+from .pieces import MovingPart, Piece, moving_parts
+from .regress import COULOMB, INERTIA, PARAMETERS, BalanceMotion, Estimates, balance_columns, rows_a_block
 
 GAP_REV = np.geomspace(0.002, 0.128, 13)  # at the motor shaft, sqrt(2) apart: from a tight coupling to a worn gear
 GAP_UPPER = np.triu_indices(GAP_REV.size)
@@ -87,41 +89,60 @@ def gap_grid(units: str) -> Floats:
     return GAP_REV * (M_PER_REV if units == "linear" else 1.0)
 
 
-def gap_sums(record: Record, facts: DriveFacts, found: Estimates, delay_s: float) -> GapSums | None:
-    """The sums of a run; `found`: its balance, whose inertia and Coulomb friction the law needs.
+def gap_sums(
+    pieces: Iterable[Piece], facts: DriveFacts, found: Estimates, delay_s: float, motion: BalanceMotion, samples: int
+) -> GapSums | None:
+    """The sums of a run of so many samples; `found`: its balance, whose inertia and Coulomb friction the law needs.
 
-    None where these are not determined, or nothing moves.
+    None where these are not determined, or nothing moves. The law begins anew in each piece, with its margin.
     """
     inertia, coulomb = float(found.theta[INERTIA]), float(found.theta[COULOMB])
     if not (np.isfinite(found.sd[[INERTIA, COULOMB]]).all() and inertia > 0.0 and coulomb > 0.0):
         return None
-    cutoff_hz = min(CUTOFF_HZ, HIGHEST_CUTOFF_PERIODS / record.period_s)
-    stretches, _ = stretches_of([record], cutoff_hz)
-    rows = rows_at(stretches, cutoff_hz, delay_s)
-    moving = np.concatenate([
-        np.abs(s.motion.velocity_rps[s.rows]) > s.motion.speed_floor_rps for s in stretches
-    ])  # fmt: skip
     unit = M_PER_REV if facts.units == "linear" else 1.0
-    columns = balance_columns(rows, facts)
-    base = np.column_stack([
-        columns[:, np.any(columns != 0.0, axis=0)],
-        np.concatenate([_transitions(s, unit) for s in stretches]),
-    ])[moving]  # fmt: skip
-    gaps = np.concatenate([_gap_columns(s, gap_grid(facts.units), inertia, coulomb, cutoff_hz) for s in stretches])
-    left = np.column_stack([gaps[moving], rows.torque_nm[moving]])
-    if left.shape[0] <= 2 * base.shape[1]:
+    grid = gap_grid(facts.units)
+    grams: dict[int, Floats] = {}  # by block, of base columns, gaps and torque at rows in motion
+    there = np.zeros(len(PARAMETERS), dtype=np.bool_)
+    number = moving_rows = 0
+    cutoff_hz = min(CUTOFF_HZ, HIGHEST_CUTOFF_PERIODS / next(iter(pieces)).record.period_s)
+    for part in moving_parts(pieces, cutoff_hz):
+        stretch = part.stretch(0.0, cutoff_hz)
+        if stretch is None:
+            continue
+        rows = rows_at([stretch], cutoff_hz, delay_s)
+        moving = np.abs(stretch.motion.velocity_rps[stretch.rows]) > stretch.motion.speed_floor_rps
+        columns = balance_columns(rows, facts, motion)
+        there |= np.any(columns != 0.0, axis=0)
+        gaps = _gap_columns(stretch, grid, inertia, coulomb, cutoff_hz)
+        both = np.column_stack([columns, _transitions(part, stretch, unit), gaps, rows.torque_nm])[moving]
+        length = rows_a_block(round(samples * part.record.period_s / rows.period_s), rows.period_s)
+        block = (number + np.flatnonzero(moving)) // length
+        for one in np.unique(block):
+            own = both[block == one]
+            grams[int(one)] = grams.get(int(one), 0.0) + own.T @ own
+        number += moving.size
+        moving_rows += int(np.count_nonzero(moving))
+    base = np.flatnonzero(np.concatenate([there, np.ones(len(PRESLIDING_REV), dtype=np.bool_)]))
+    if moving_rows <= 2 * base.size:
         return None
-    across, _ = np.linalg.qr(base / np.linalg.norm(base, axis=0))
-    left -= across @ (across.T @ left)
-    total = left.T @ left
-    sums = GapSums(total[:-1, :-1], total[:-1, -1], float(total[-1, -1]), float(left.shape[0]), float(left.shape[0]))
-    return sums._replace(effective_rows=_effective_rows(sums, left, np.flatnonzero(moving), moving.size, rows.period_s))
+    blocks = np.array(list(grams.values()))
+    first = len(PARAMETERS) + len(PRESLIDING_REV)
+    kept = np.concatenate([base, np.arange(first, blocks.shape[1])])
+    blocks = blocks[:, kept[:, None], kept]
+    basis = spectrum(blocks.sum(axis=0)[: base.size, : base.size]).basis()
+    total = blocks.sum(axis=0)
+    shift = basis @ (basis.T @ total[: base.size, base.size :])  # of each column on the base: taken out of it
+    out = np.vstack([-shift, np.eye(total.shape[0] - base.size)])
+    left = out.T @ total @ out
+    count = float(moving_rows)
+    sums = GapSums(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]), count, count)
+    return sums._replace(effective_rows=_effective_rows(sums, left, out.T @ blocks @ out))
 
 
-def _transitions(stretch: RegressionStretch, unit: float) -> Floats:
+def _transitions(part: MovingPart, stretch: RegressionStretch, unit: float) -> Floats:
     """Friction that has not yet followed a reversal: gone after each of these travels. (m, 2)"""
-    motion, at = stretch.motion, stretch.rows
-    direction, travel = sure_direction(motion)[at], travel_since_reversal_rev(motion)[at]
+    at = stretch.rows
+    direction, travel = sure_direction(part.motion, part.before)[at], part.travel_rev[at]
     return np.column_stack([direction * np.exp(-travel / (unit * length)) for length in PRESLIDING_REV])
 
 
@@ -142,16 +163,19 @@ def _gap_columns(stretch: RegressionStretch, grid: Floats, inertia: float, coulo
     return low_pass(torque_nm, cutoff_hz, motion.period_s)[:, stretch.rows].T
 
 
-def _effective_rows(sums: GapSums, left: Floats, kept: Integers, count: int, period_s: float) -> float:
-    """Rows over how much the scores of blocks scatter beyond those of independent rows, for the best gap."""
+def _effective_rows(sums: GapSums, left: Floats, blocks: Floats) -> float:
+    """Rows over how much the scores of blocks scatter beyond those of independent rows, for the best gap.
+
+    `left` (k + 1, k + 1), `blocks` (b, k + 1, k + 1): products of the gaps' columns and the torque, without the base.
+    """
     gains, shares = _gains(sums)
     place = int(np.argmax(gains))
-    residual = left[:, -1] - shares[place] * (left[:, :-1] @ _WEIGHTS[place])
-    column = left[:, :-1] @ np.gradient(_WEIGHTS, axis=0)[place]  # what another gap would add
-    expected = float(column @ column) * float(residual @ residual) / kept.size
-    of_blocks = np.add.reduceat(column * residual, block_starts(kept, count, period_s))
+    residual = np.append(-shares[place] * _WEIGHTS[place], 1.0)
+    column = np.append(np.gradient(_WEIGHTS, axis=0)[place], 0.0)  # what another gap would add
+    expected = float(column @ left @ column) * float(residual @ left @ residual) / sums.rows
+    of_blocks = np.einsum("i,bij,j->b", column, blocks, residual)
     ratio = float(of_blocks @ of_blocks) / expected if expected > 0.0 else 1.0
-    return kept.size / max(1.0, ratio)
+    return sums.rows / max(1.0, ratio)
 
 
 def _lagrange(places: Floats) -> Floats:

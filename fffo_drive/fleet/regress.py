@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import Floats, Integers
+from ..arrays import Floats, Integers, Mask
 from ..identification.criterion import BLOCK_S, SHORTEST_BLOCK_S
 from ..identification.facts import DriveFacts
 from ..identification.ladder import GRAVITY_PERIODS, wave_columns
@@ -36,6 +36,7 @@ RUNGS = {  # of the ladder, those that are columns here
 STRIBECK_RPS = 1.0  # V0: between those of small servo motors; one for all, or records would not add up
 STRIBECK_M_PER_S = 0.02  # V0 of a linear axis
 SINGULAR = 1e-9  # of the scaled normal matrix: what columns have in common beyond it is not known
+MOST_BLOCKS = 2000  # of a long run: beyond they say no more of how much blocks scatter
 BLOCKS_A_RUN = 60  # of a short run, which are independent pieces: several times as many as columns
 LARGEST_INFLATION = 1e3  # of a variance by the other columns: an estimate beyond it says nothing by itself
 UPPER = np.triu_indices(len(PARAMETERS))
@@ -60,8 +61,28 @@ class Estimates(NamedTuple):
     rms_nm: Floats  # (...) of the residual
 
 
-def balance_columns(rows: RegressionRows, facts: DriveFacts) -> Floats:
-    """Columns of the balance at all rows, in the order of PARAMETERS; 0 where the motion has none. (m, p)"""
+class BalanceMotion(NamedTuple):
+    """What of the motion at the rows that slide for sure decides which columns there are."""
+
+    one_way: bool
+    travel_rev: float
+
+
+EVERY_COLUMN = BalanceMotion(False, math.inf)
+
+
+def motion_at(rows: RegressionRows) -> BalanceMotion:
+    """Of these rows."""
+    travel_rev = float(np.ptp(rows.position_rev[rows.sliding])) if rows.sliding.any() else 0.0
+    return BalanceMotion(turns_one_way(rows.direction[rows.sliding]), travel_rev)
+
+
+def balance_columns(rows: RegressionRows, facts: DriveFacts, motion: BalanceMotion | None = None) -> Floats:
+    """Columns of the balance at all rows, in the order of PARAMETERS; 0 where the motion has none. (m, p)
+
+    `motion`: of all rows where these are some of them; None: these are all.
+    """
+    there = columns_there(facts, motion or motion_at(rows))
     speed = np.abs(rows.velocity_rps)
     v0_rps = STRIBECK_M_PER_S if facts.units == "linear" else STRIBECK_RPS
     columns = np.zeros((speed.size, len(PARAMETERS)))
@@ -69,14 +90,26 @@ def balance_columns(rows: RegressionRows, facts: DriveFacts) -> Floats:
     columns[:, VISCOUS] = rows.velocity_rps
     columns[:, COULOMB] = rows.direction
     columns[:, STRIBECK] = rows.direction * np.exp(-speed / v0_rps)
-    if not turns_one_way(rows.direction[rows.sliding]):  # else they are Coulomb and viscous friction
+    if there[OFFSET]:
         columns[:, OFFSET] = 1.0
         columns[:, EXCESS] = speed
-    order = 1.0 / (facts.gear_ratio or 1.0)
-    travel = float(np.ptp(rows.position_rev[rows.sliding])) if rows.sliding.any() else 0.0
-    if facts.units == "rotary" and facts.absolute_angle and order * travel >= GRAVITY_PERIODS:
-        columns[:, GRAVITY_COS:] = wave_columns(rows, order)
+    if there[GRAVITY_COS]:
+        columns[:, GRAVITY_COS:] = wave_columns(rows, output_order(facts))
     return columns
+
+
+def columns_there(facts: DriveFacts, motion: BalanceMotion) -> Mask:
+    """Columns that a motion has. (p,)"""
+    there = np.ones(len(PARAMETERS), dtype=np.bool_)
+    there[[OFFSET, EXCESS]] = not motion.one_way  # else they are Coulomb and viscous friction
+    turns = output_order(facts) * motion.travel_rev
+    there[GRAVITY_COS:] = facts.units == "rotary" and facts.absolute_angle and turns >= GRAVITY_PERIODS
+    return there
+
+
+def output_order(facts: DriveFacts) -> float:
+    """Order of the motor's angle that the output's angle is."""
+    return 1.0 / (facts.gear_ratio or 1.0)
 
 
 def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
@@ -88,16 +121,22 @@ def balance_of(columns: Floats, rows: RegressionRows) -> Balance:
     solution = solve(whole)
     scores = own * (torque_nm - own @ solution.theta)[:, None]
     sums = np.add.reduceat(scores, begins, axis=0) if kept.size else scores
-    return whole._replace(effective_rows=_effective_rows(whole, sums, float(solution.rms_nm)))
+    return whole._replace(effective_rows=effective_rows(whole, sums, float(solution.rms_nm)))
 
 
 def block_starts(kept: Integers, count: int, period_s: float) -> Integers:
     """Places in `kept` (m,), rows of `count` in all, at which a block begins that is independent of the one before."""
-    block_s = min(BLOCK_S, max(SHORTEST_BLOCK_S, count * period_s / BLOCKS_A_RUN))
-    return np.flatnonzero(np.diff(kept // max(1, round(block_s / period_s)), prepend=-1))
+    return np.flatnonzero(np.diff(kept // rows_a_block(count, period_s), prepend=-1))
 
 
-def _effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
+def rows_a_block(count: int, period_s: float) -> int:
+    """Rows, of `count` in all, after which rows are independent; longer where there would be more than MOST_BLOCKS."""
+    length_s = count * period_s
+    block_s = max(min(BLOCK_S, max(SHORTEST_BLOCK_S, length_s / BLOCKS_A_RUN)), length_s / MOST_BLOCKS)
+    return max(1, round(block_s / period_s))
+
+
+def effective_rows(balance: Balance, sums: Floats, rms_nm: float) -> float:
     """Rows over how much larger variances are than those of independent rows, by blocks' scores (b, p)."""
     half = sums @ spectrum(balance.normal).basis(SINGULAR)
     rank = half.shape[1]

@@ -124,7 +124,7 @@ def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
 
 def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:
     """As `load_record`, of a log that was read. `digest`: of its file. Raises DataError."""
-    columns = _with_limit_column({name: log.columns[name] for name in TAKEN if name in log.columns})
+    columns = with_limit_column({name: log.columns[name] for name in TAKEN if name in log.columns})
     warnings = list(log.warnings) if isinstance(log, LogTable) else ([log.reason] if log.reason else [])
     fresh = None
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
@@ -137,12 +137,23 @@ def record_of_columns(
     name: str, columns: Mapping[str, Floats], facts: DriveFacts, warnings: Sequence[str] = ()
 ) -> Record:
     """As `load_record`, of columns (n,) by our names, `time_s` among them. Raises DataError."""
-    own = _with_limit_column(columns)
+    own = with_limit_column(columns)
     digest = hashlib.sha256(b"".join(own[key].tobytes() for key in sorted(own))).hexdigest()
     return _record(Path(name), own, None, facts, list(warnings), digest)
 
 
-def _with_limit_column(columns: Mapping[str, Any]) -> dict[str, Floats]:
+def record_of_part(
+    path: Path, columns: Mapping[str, Any], timing: LogTiming | None, facts: DriveFacts, digest: str
+) -> Record:  # fmt: skip
+    """As `record_of_log`, of a part of a log, (n,) each; `timing` of the ticks of our loop. Nothing is checked."""
+    own, fresh = with_limit_column(columns), None
+    if timing is not None:
+        whole = mended(own, timing, float(np.median(np.diff(own["time_s"]))))
+        own, fresh = whole.columns, whole.fresh if whole.filled else None
+    return _unchecked(path, own, fresh, facts, [], digest)
+
+
+def with_limit_column(columns: Mapping[str, Any]) -> dict[str, Floats]:
     """The columns as numbers; bit 11 of the statusword as a column that may be interpolated (CiA 402)."""
     own = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in columns.items()}
     statusword = own.pop("statusword", None)
@@ -288,6 +299,16 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
 def _record(
     path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str], digest: str
 ) -> Record:  # fmt: skip
+    record = _unchecked(path, columns, fresh, facts, warnings, digest)
+    problems, found = check_record(record)
+    if problems:
+        raise DataError("\n".join(problems))
+    return replace(record, warnings=(*record.warnings, *found))
+
+
+def _unchecked(
+    path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str], digest: str
+) -> Record:  # fmt: skip
     time_s = columns.pop("time_s")
     measured_rev = columns.get("position_rev")  # its steps are the sensor's as long as nothing is interpolated
     even = on_even_grid(time_s, columns, fresh)
@@ -318,7 +339,7 @@ def _record(
         warnings.append(f"{path}: no position: the velocity is integrated, and its lag counts as delay")
         position_rev = np.concatenate([[0.0], np.cumsum(0.5 * (velocity_rps[1:] + velocity_rps[:-1]) * period_s)])
         velocity_rps = None  # the same once more would say that it is not late
-    record = Record(
+    return Record(
         name=short_name(path),
         path=path,
         period_s=period_s,
@@ -335,11 +356,8 @@ def _record(
         good=even.good,
         reference_position_rev=columns.get("reference_position_rev"),
         limited=_limits(columns),
+        warnings=tuple(warnings),
     )
-    problems, found = check_record(record)
-    if problems:
-        raise DataError("\n".join(problems))
-    return Record(**{**vars(record), "warnings": (*warnings, *found)})
 
 
 def _limits(columns: Mapping[str, Floats]) -> Mask | None:

@@ -71,24 +71,41 @@ def acting_torque_nm(record: Record, part: slice, delay_s: float, cutoff_hz: flo
     return record.torque_constant_nm_per_a * low_pass(mean_a, cutoff_hz, record.period_s)
 
 
-def sure_direction(motion: Kinematics) -> Floats:
+class Before(NamedTuple):
+    """What is known of the motion before a stretch."""
+
+    direction: float = 0.0  # of the last certain motion; 0: there was none
+    travel_rev: float = 0.0  # since the last certain change of direction
+
+
+NOTHING_BEFORE = Before()
+
+
+def sure_direction(motion: Kinematics, before: Before = NOTHING_BEFORE) -> Floats:
     """Sign of the present motion, or of the last certain one; 0 before any. (n,)"""
     direction = np.where(np.abs(motion.velocity_rps) > motion.speed_floor_rps, np.sign(motion.velocity_rps), 0.0)
     sure = np.flatnonzero(direction)
     if not sure.size:
-        return direction
-    return _held(direction[sure], np.concatenate([[0], sure[1:]]), direction.size)
+        return np.full(direction.size, before.direction)
+    if before.direction == 0.0:
+        return _held(direction[sure], np.concatenate([[0], sure[1:]]), direction.size)
+    sure = np.concatenate([[0], sure[sure > 0]])
+    direction[0] = direction[0] or before.direction
+    return _held(direction[sure], sure, direction.size)
 
 
-def travel_since_reversal_rev(motion: Kinematics) -> Floats:
+def travel_since_reversal_rev(motion: Kinematics, before: Before = NOTHING_BEFORE) -> Floats:
     """Travel since the last certain change of direction; 0 before any. (n,)"""
-    held = sure_direction(motion)
+    held = sure_direction(motion, before)
     if not held.any():
         return held
     turned = np.flatnonzero(np.diff(held) != 0.0) + 1
     starts = np.concatenate([[0], turned])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.position_rev)))])
-    return path - _held(path[starts], starts, held.size)
+    travel = path - _held(path[starts], starts, held.size)
+    if held[0] == before.direction:
+        travel[: turned[0] if turned.size else None] += before.travel_rev
+    return travel
 
 
 def _held(values: Floats, starts: npt.NDArray[np.int64], count: int) -> Floats:
@@ -96,10 +113,10 @@ def _held(values: Floats, starts: npt.NDArray[np.int64], count: int) -> Floats:
     return np.repeat(values, np.diff(starts, append=count))
 
 
-def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float) -> Mask:
+def sliding_mask(motion: Kinematics, travel_rev: float, margin_s: float, before: Before = NOTHING_BEFORE) -> Mask:
     """Whether the axis certainly slides: fast enough, far enough after a reversal, not at the ends. (n,)"""
     mask = np.abs(motion.velocity_rps) > motion.speed_floor_rps
-    mask &= travel_since_reversal_rev(motion) > travel_rev
+    mask &= travel_since_reversal_rev(motion, before) > travel_rev
     edge = min(mask.size // 2, round(margin_s / motion.period_s))
     mask[:edge] = False
     mask[mask.size - edge :] = False

@@ -232,24 +232,42 @@ class Waves(NamedTuple):
     explained: Floats  # (r, n) of the values' squares
 
 
+class WaveSums(NamedTuple):
+    """Sums over rows from which waves follow: those of two sets of rows of the same runs are added field by field."""
+
+    product: npt.NDArray[np.complex128]  # (r, n) of wave and values
+    power: Floats  # (r, n) of the wave
+    square: npt.NDArray[np.complex128]  # (r, n) of the wave with itself
+
+
 def waves_in(rows: RegressionRows, values: Floats, weight: Floats, highest: int) -> Waves:
     """The wave of each whole order up to `highest`, by itself, in values (m,) at rows of this weight (m,)."""
+    return waves_of(wave_sums(rows, values, weight, highest))
+
+
+def wave_sums(rows: RegressionRows, values: Floats, weight: Floats, highest: int) -> WaveSums:
+    """The sums of `waves_in`."""
     edges = np.flatnonzero(np.diff(rows.run, prepend=-1))
     turn = np.exp(2j * np.pi * rows.position_rev)
     wave = np.ones(rows.run.size, dtype=np.complex128)
-    amplitude = np.zeros((edges.size, highest), dtype=np.complex128)
-    explained = np.zeros((edges.size, highest))
+    product = np.zeros((edges.size, highest), dtype=np.complex128)
+    power, square = np.zeros((edges.size, highest)), np.zeros_like(product)
     for order in range(1, highest + 1):
         wave *= turn
         column = wave * (weight * _passed_by_filter(rows, order))
-        product = np.add.reduceat(column * values, edges)
-        power = np.add.reduceat(np.abs(column) ** 2, edges)
-        square = np.add.reduceat(column * column, edges)
-        # the 2 x 2 normal equations of cosine and sine, in complex numbers
-        determinant = np.maximum(power**2 - np.abs(square) ** 2, SAME_COLUMNS * power**2 + 1e-300)
-        amplitude[:, order - 1] = 2.0 * (power * product - square * np.conj(product)) / determinant
-        explained[:, order - 1] = (np.conj(amplitude[:, order - 1]) * product).real
-    return Waves(amplitude, explained)
+        product[:, order - 1] = np.add.reduceat(column * values, edges)
+        power[:, order - 1] = np.add.reduceat(np.abs(column) ** 2, edges)
+        square[:, order - 1] = np.add.reduceat(column * column, edges)
+    return WaveSums(product, power, square)
+
+
+def waves_of(sums: WaveSums) -> Waves:
+    """The waves that sums give."""
+    product, power, square = sums
+    # the 2 x 2 normal equations of cosine and sine, in complex numbers
+    determinant = np.maximum(power**2 - np.abs(square) ** 2, SAME_COLUMNS * power**2 + 1e-300)
+    amplitude = 2.0 * (power * product - square * np.conj(product)) / determinant
+    return Waves(amplitude, (np.conj(amplitude) * product).real)
 
 
 def wave_columns(rows: RegressionRows, order: float) -> Floats:

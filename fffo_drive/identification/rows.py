@@ -17,6 +17,8 @@ from ..arrays import Floats, Integers, Mask
 from ..least_squares import least_squares
 from .dataset import DataError, Record
 from .kinematics import (
+    NOTHING_BEFORE,
+    Before,
     Kinematics,
     acting_torque_nm,
     low_pass,
@@ -75,25 +77,41 @@ def stretches_of(records: Sequence[Record], cutoff_hz: float) -> tuple[list[Regr
     if not parts:
         raise DataError("all stretches of the logs are too short for the filter")
     motions = [motion_of(record, part, cutoff_hz) for _, record, part in parts]
-    travel_rev = _sliding_travel_rev(motions, max(record.lsb_rev for record in records))
-    step = max(1, int(1.0 / (ROWS_A_PERIOD * cutoff_hz * records[0].period_s)))
-    found = []
-    for (number, record, part), motion in zip(parts, motions, strict=True):
-        sliding = sliding_mask(motion, travel_rev, 2.0 / cutoff_hz) & trusted(record, part, cutoff_hz)
-        direction = low_pass(sure_direction(motion), cutoff_hz, record.period_s)
-        torque_nm = acting_torque_nm(record, part, 0.0, cutoff_hz)
-        rows = np.arange(0, part.stop - part.start, step)
-        found.append(RegressionStretch(number, motion, torque_nm, direction, sliding, rows))
-    return found, travel_rev
-
-
-def _sliding_travel_rev(motions: Sequence[Kinematics], lsb_rev: float) -> float:
-    """Travel after which presliding is over: a share of a typical stroke, at least some counts."""
-    strokes: list[Floats] = []
+    strokes = []
     for motion in motions:
         travel = travel_since_reversal_rev(motion)
-        strokes.append(travel[np.flatnonzero(np.diff(travel) < 0.0)])
-    stroke = np.concatenate(strokes) if strokes else np.zeros(0)
+        strokes.append(travel[stroke_ends(travel)])
+    travel_rev = sliding_travel_rev(np.concatenate(strokes), max(record.lsb_rev for record in records))
+    step = samples_a_row(records[0].period_s, cutoff_hz)
+    return [
+        stretch_of(number, record, part, motion, travel_rev, cutoff_hz, np.arange(0, part.stop - part.start, step))
+        for (number, record, part), motion in zip(parts, motions, strict=True)
+    ], travel_rev
+
+
+def samples_a_row(period_s: float, cutoff_hz: float) -> int:
+    """Samples from one row to the next."""
+    return max(1, int(1.0 / (ROWS_A_PERIOD * cutoff_hz * period_s)))
+
+
+def stretch_of(
+    number: int, record: Record, part: slice, motion: Kinematics, travel_rev: float, cutoff_hz: float, rows: Integers,
+    before: Before = NOTHING_BEFORE,
+) -> RegressionStretch:  # fmt: skip
+    """One segment with its motion; presliding is over after `travel_rev`."""
+    sliding = sliding_mask(motion, travel_rev, 2.0 / cutoff_hz, before) & trusted(record, part, cutoff_hz)
+    direction = low_pass(sure_direction(motion, before), cutoff_hz, record.period_s)
+    torque_nm = acting_torque_nm(record, part, 0.0, cutoff_hz)
+    return RegressionStretch(number, motion, torque_nm, direction, sliding, rows)
+
+
+def stroke_ends(travel_rev: Floats) -> Integers:
+    """Samples of a travel since reversals (n,) at which a stroke ends."""
+    return np.flatnonzero(np.diff(travel_rev) < 0.0)
+
+
+def sliding_travel_rev(stroke: Floats, lsb_rev: float) -> float:
+    """Travel after which presliding is over: a share of a typical stroke, of all strokes (n,), at least some counts."""
     stroke = stroke[stroke > 50.0 * lsb_rev]
     typical = float(np.median(stroke)) if stroke.size else 0.0
     return max(20.0 * lsb_rev, min(0.1 * typical, max(2000.0 * lsb_rev, PRESLIDING_SHARE * typical)))
@@ -132,8 +150,7 @@ def rigid_columns(rows: RegressionRows) -> Floats:
 def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> float:
     """Delay (s) from command to torque that minimises the residual of the rigid balance: a scan, then a parabola."""
     period_s = stretches[0].motion.period_s
-    samples = max(LONGEST_DELAY_SAMPLES, math.ceil(LONGEST_DELAY_S / period_s))
-    delays: Floats = np.arange(0.0, samples + 1, 2) * period_s
+    delays: Floats = np.arange(0.0, longest_delay_samples(period_s) + 1, 2) * period_s
     costs = []
     for delay_s in delays:
         rows = rows_at(stretches, cutoff_hz, float(delay_s))
@@ -141,11 +158,21 @@ def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> f
     return parabola_minimum(delays, np.array(costs))
 
 
+def longest_delay_samples(period_s: float) -> int:
+    """As far as the scan for the delay goes."""
+    return max(LONGEST_DELAY_SAMPLES, math.ceil(LONGEST_DELAY_S / period_s))
+
+
 def turns_one_way(direction: Floats) -> bool:
     """Whether the motion is one-way (hardly a row (m,) of the other sign), so that Coulomb friction and a constant
     torque are inseparable.
     """
-    return bool(min(np.mean(direction > 0.0), np.mean(direction < 0.0)) < LEAST_OTHER_WAY) if direction.size else True
+    return is_one_way(int(np.sum(direction > 0.0)), int(np.sum(direction < 0.0)), direction.size)
+
+
+def is_one_way(forwards: float, backwards: float, rows: float) -> bool:
+    """The same by numbers of rows."""
+    return min(forwards, backwards) < LEAST_OTHER_WAY * rows if rows else True
 
 
 def parabola_minimum(x: Floats, y: Floats) -> float:

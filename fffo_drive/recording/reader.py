@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -163,16 +163,58 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
     opened.
     """
-    collector = _Collector(Path(path), topic)
-    with regular(Path(path)).open("rb") as file:
-        scanner = Scanner(file, str(path))
-        for record in scanner:
-            try:
-                collector.take(record, scanner)
-            except DamagedRecordError as damage:
-                scanner.damage(record, str(damage))
-                break
-    return collector.run(scanner.tear)
+    blocks = RowBlocks(path, topic)
+    found = list(blocks)
+    rest = blocks.rest
+    # joined as bytes: field by field it would take forty times as long
+    rows = np.concatenate([block.rows.view(f"V{rest.rows.dtype.itemsize}") for block in found]) if found else None
+    return replace(
+        rest,
+        rows=rest.rows if rows is None else rows.view(rest.rows.dtype),
+        log_time_ns=np.concatenate([block.log_time_ns for block in found]) if found else rest.log_time_ns,
+    )
+
+
+class RowBlock(NamedTuple):
+    """Rows that follow each other in a recording."""
+
+    first: int  # number of its first row in the file
+    rows: Array  # (n,) structured, fields as in the file's schema
+    log_time_ns: Array  # (n,) int64
+
+
+class RowBlocks:
+    """The rows of a recording, finished or torn, in blocks of one chunk each (some hundred kB): in constant memory.
+
+    May be iterated again; each time the file is read anew. `rest` is what the last iteration found beside the rows.
+    Iterating raises the errors of `read_run`.
+    """
+
+    def __init__(self, path: Path | str, topic: str = ROW_TOPIC) -> None:
+        self._path, self._topic = Path(path), topic
+        self._rest: Run | None = None
+
+    def __iter__(self) -> Iterator[RowBlock]:
+        collector = _Collector(self._path, self._topic)
+        with regular(self._path).open("rb") as file:
+            scanner = Scanner(file, str(self._path))
+            for record in scanner:
+                first = collector.count
+                try:
+                    collector.take(record, scanner)
+                except DamagedRecordError as damage:
+                    scanner.damage(record, str(damage))
+                    break
+                for rows, times in collector.taken():
+                    yield RowBlock(first, rows, times)
+                    first += len(rows)
+        self._rest = collector.run(scanner.tear)
+
+    @property
+    def rest(self) -> Run:
+        """The recording without its rows."""
+        assert self._rest is not None, "iterate over all blocks first"
+        return self._rest
 
 
 class RunHead(NamedTuple):
@@ -222,8 +264,8 @@ class _Collector:
     layouts: dict[int, RowLayout] = field(default_factory=dict)  # by channel
     event_channels: set[int] = field(default_factory=set)
     record_channels: set[int] = field(default_factory=set)
-    rows: list[Array] = field(default_factory=list)  # raw bytes of rows, by segment
-    times: list[Array] = field(default_factory=list)
+    blocks: list[tuple[Array, Array]] = field(default_factory=list)  # rows and log times, by segment, not yet taken
+    count: int = 0  # rows
     stated: dict[int, int] = field(default_factory=dict)  # messages by channel, from the file's statistics
     events: list[Event] = field(default_factory=list)
     records: list[RunRecord] = field(default_factory=list)
@@ -263,8 +305,8 @@ class _Collector:
                 events += _decoded(data, part, decode_event)
             elif part.channel in self.record_channels:
                 records += _decoded(data, part, decode_record)
-        self.rows += [rows for rows, _ in blocks]  # only now: all of a chunk, or nothing
-        self.times += [times for _, times in blocks]
+        self.blocks += blocks  # only now: all of a chunk, or nothing
+        self.count += sum(len(rows) for rows, _ in blocks)
         self.events += events
         self.records += records
 
@@ -294,23 +336,26 @@ class _Collector:
             raise RecordingError(f"{place} changes its fields within the file: rows of two kinds make no columns")
         return layout
 
+    def taken(self) -> list[tuple[Array, Array]]:
+        """Rows since the last call."""
+        blocks, self.blocks = self.blocks, []
+        return blocks
+
     def run(self, tear: str | None) -> Run:
-        """What was collected; `tear` as the scanner left it."""
+        """What was collected, without the rows; `tear` as the scanner left it."""
         if self.channels and not self.layouts and tear is None:
             topics = [channel.topic for channel in self.channels.values()]
             hint = did_you_mean(self.topic, topics)
             raise RecordingError(f"{self.path}: no rows on {self.topic!r}: {hint}")
         layout = next(iter(self.layouts.values()), _CURRENT_LAYOUT)
-        # joined as bytes: field by field it would take forty times as long
-        rows = np.concatenate(self.rows).view(layout.dtype) if self.rows else np.zeros(0, layout.dtype)
         stated = sum(count for channel, count in self.stated.items() if channel in self.layouts)
-        if tear is None and self.stated and stated != len(rows):
+        if tear is None and self.stated and stated != self.count:
             tear = f"states {stated} rows in its statistics"
-        reason = "" if tear is None else _torn(self.path, tear, len(rows))
+        reason = "" if tear is None else _torn(self.path, tear, self.count)
         return Run(
             path=self.path,
-            rows=rows,
-            log_time_ns=np.concatenate(self.times) if self.times else np.zeros(0, np.int64),
+            rows=np.zeros(0, layout.dtype),
+            log_time_ns=np.zeros(0, np.int64),
             units=layout.units,
             meanings=layout.meanings,
             metadata=self.metadata.get(METADATA_NAME, {}),
@@ -330,7 +375,7 @@ def _torn(path: Path, tear: str, rows: int) -> str:
 
 
 def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Array, Array]:
-    """Rows of a segment as raw bytes in native order, and their log times.
+    """Rows of a segment in native order, and their log times.
 
     A payload may be longer than the row (other writers pad), never shorter.
     """
@@ -351,7 +396,7 @@ def _rows(data: bytes, part: Segment, layout: RowLayout, place: str) -> tuple[Ar
     raw = np.ascontiguousarray(records["row"])  # a copy, so that the decompressed chunk can go
     if encoding == 0:
         raw = raw.view(layout.dtype.newbyteorder(">")).astype(layout.dtype).view(raw.dtype)
-    return raw, records["log_time"].astype(np.int64)
+    return raw.view(layout.dtype), records["log_time"].astype(np.int64)
 
 
 def _decoded(data: bytes, part: Segment, decode: Callable[[bytes], T]) -> list[T]:

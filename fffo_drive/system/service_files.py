@@ -11,6 +11,7 @@ from typing import NamedTuple
 PACKAGE = Path(__file__).resolve().parent.parent
 GROUP = "fffo-drive"
 UNIT = "fffo-drive@.service"
+RECORDS_UNIT, RECORDS_SOCKET = "fffo-drive-records@.service", "fffo-drive-records@.socket"
 PROGRAM = "/opt/fffo-drive/bin/fffo-drive"  # as it stands in the unit
 BUS_LINE = re.compile(r"^  bus: \S+.*$", re.MULTILINE)
 EXAMPLE_SUFFIX = ".example"
@@ -63,9 +64,9 @@ def service_files(program: Path, networks: Iterable[str] = ()) -> list[ServiceFi
     Network files are examples (named .example, which networkd passes over), but for the interfaces in `networks`.
     """
     systemd, configs = sources()
-    unit = (systemd / UNIT).read_text(encoding="utf-8").replace(PROGRAM, str(program))
+    units = {name: (systemd / name).read_text(encoding="utf-8") for name in (UNIT, RECORDS_UNIT, RECORDS_SOCKET)}
     found = [
-        ServiceFile(f"{UNITS}/{UNIT}", unit.encode()),
+        *(ServiceFile(f"{UNITS}/{name}", text.replace(PROGRAM, str(program)).encode()) for name, text in units.items()),
         ServiceFile("etc/udev/rules.d/90-fffo-drive.rules", (systemd / "90-fffo-drive.rules").read_bytes()),
         ServiceFile("etc/sysusers.d/fffo-drive.conf", (systemd / "sysusers.conf").read_bytes()),
     ]

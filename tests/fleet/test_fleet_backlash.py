@@ -12,8 +12,9 @@ import pytest
 import fffo_drive as fd
 from fffo_drive.fleet.backlash import GAP_REV, GAP_UPPER, GapSums, gap_of, gap_sums
 from fffo_drive.fleet.measure import measured
+from fffo_drive.fleet.pieces import whole
 from fffo_drive.fleet.place import digest_of
-from fffo_drive.fleet.regress import Estimates, unpacked
+from fffo_drive.fleet.regress import EVERY_COLUMN, Estimates, unpacked
 from fffo_drive.identification.dataset import load_record
 
 from .fleet_rig import FACTS, write_run
@@ -70,7 +71,7 @@ def test_no_gap_is_claimed_of_an_axis_without_one(folder: Path) -> None:
 def test_a_motion_without_inertia_and_friction_says_nothing_of_a_gap(tmp_path: Path) -> None:
     record = load_record(write_run(tmp_path / "run.csv", 1), FACTS)
     nothing = Estimates(np.zeros(8), np.zeros((8, 8)), np.full(8, np.nan), np.array(0.0))
-    assert gap_sums(record, FACTS, nothing, 0.0) is None
+    assert gap_sums(whole(record), FACTS, nothing, 0.0, EVERY_COLUMN, record.samples) is None
 
 
 def made_of(gap_place: float, share: float, noise: float) -> GapSums:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from fleet.fleet_rig import FACTS, TRUTH, write_run
+from fleet.fleet_rig import FACTS, KT, RATE_HZ, TRUTH, torque_nm, write_run
 
 import fffo_drive as fd
+from fffo_drive.fleet import pieces
 from fffo_drive.fleet.measure import measured
 from fffo_drive.fleet.place import digest_of
 from fffo_drive.fleet.regress import PARAMETERS, Balance, balance_columns, balance_of, solve
@@ -18,7 +19,8 @@ from fffo_drive.fleet.schema import BAND_EDGES_HZ, RECORD_SCHEMA, file_bytes, ta
 from fffo_drive.identification.dataset import DataError, load_record
 from fffo_drive.identification.kinematics import DEFAULT_CUTOFF_HZ
 from fffo_drive.identification.rows import delay_between, rows_at, stretches_of
-from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.reader import RowBlocks, read_run
+from fffo_drive.units import TWO_PI
 from fffo_drive.workflows.recorded_facts import facts_in
 
 AXIS = Path(__file__).resolve().parents[2] / "configs" / "axis_simulated.yaml"
@@ -71,6 +73,72 @@ def test_every_column_is_filled_and_ticks_are_those_of_the_recording(recordings)
     assert made["complete"]
     assert sum(made["speed_share"]) == pytest.approx(1.0)
     assert sum(made["angle_share"]) == pytest.approx(1.0)
+
+
+def same(one, other, rel=1e-6, gap_rel=1e-3):
+    """Numbers that agree but for rounding; of the gap, whose law begins anew in each piece, a little less."""
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        if isinstance(value, float | np.ndarray):
+            number = np.asarray(value, dtype=np.float64)
+            scale = float(np.nanmax(np.abs(number), initial=0.0)) * (gap_rel if name.startswith("gap_") else rel)
+            np.testing.assert_allclose(other[name], number, rtol=0.0, atol=scale, err_msg=name)
+        elif name != "run":
+            assert other[name] == value, name
+
+
+def test_in_pieces_and_at_once_the_record_is_the_same(recordings, monkeypatch):
+    """But for the bands: a piece of 4 s has a spectrum of its own, in which 0.25 Hz is one line."""
+    at_once = record(recordings[0], None)
+    monkeypatch.setattr(pieces, "PIECE_S", 4.0)
+    in_pieces = record(recordings[0], None)
+    bands, own = (np.asarray(one.pop("band_rms_nm"))[BAND_EDGES_HZ[:-1] > 4.0] for one in (at_once, in_pieces))
+    np.testing.assert_allclose(own, bands, rtol=0.5)
+    assert float(own @ own) == pytest.approx(float(bands @ bands), rel=0.1)
+    same(at_once, in_pieces)
+
+
+def test_of_an_axis_that_pauses_and_reverses_the_pieces_know_what_was_before(tmp_path, monkeypatch):
+    """Between two pieces the axis stands for longer than their margin: the direction that it had goes with it."""
+    time_s = np.arange(0.0, 30.0, 1.0 / RATE_HZ)
+    velocity = np.where(np.mod(time_s, 15.0) < 4.0, np.sin(TWO_PI * 0.5 * time_s), 0.0)
+    velocity += np.where((time_s > 12.0) & (time_s < 15.0), 0.5 - 0.5 * np.cos(TWO_PI * time_s / 1.5), 0.0)
+    position = 0.013 + np.cumsum(velocity) / RATE_HZ  # no stop at the edge of a bin of the angle
+    acceleration = np.gradient(velocity, 1.0 / RATE_HZ)
+    current = torque_nm(position, velocity, acceleration, TRUTH) / KT
+    table, path = np.stack([time_s, position, current], axis=1), tmp_path / "pauses.csv"
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time_s,position_rev,current_command_a", comments="")
+    made = []
+    for length_s in (60.0, 7.0, 9.5):
+        monkeypatch.setattr(pieces, "PIECE_S", length_s)
+        made.append(record(path))
+        made[-1].pop("band_rms_nm")
+        made[-1] = {name: value for name, value in made[-1].items() if not name.startswith("gap_")}
+    same(made[0], made[1])
+    same(made[0], made[2])
+
+
+def test_losses_of_ticks_and_a_torn_end_make_the_same_record_in_pieces(recordings, tmp_path, monkeypatch):
+    torn = tmp_path / "torn.mcap.part"
+    torn.write_bytes(recordings[0].read_bytes()[:-200_000])
+    at_once = record(torn, None)
+    assert not at_once["complete"]
+    monkeypatch.setattr(pieces, "PIECE_S", 3.0)
+    in_pieces = record(torn, None)
+    for one in (at_once, in_pieces):
+        one.pop("band_rms_nm")
+    same(at_once, in_pieces)
+
+
+def test_what_a_record_takes_does_not_grow_with_the_recording(recordings, monkeypatch):
+    """Rows that are held at a time, by the blocks of the recording and the pieces that are made of them."""
+    monkeypatch.setattr(pieces, "PIECE_S", 1.0)
+    monkeypatch.setattr(pieces, "MARGIN_S", 0.5)
+    sizes = [piece.record.samples for piece in pieces.LogPieces(recordings[0], None, "")]
+    assert len(sizes) >= 11
+    assert max(sizes) <= 2 * 2000 + 2
+    blocks = [block.rows.nbytes for block in RowBlocks(recordings[0])]
+    assert max(blocks) < 300_000
 
 
 def test_estimates_are_those_of_the_axis(tmp_path):

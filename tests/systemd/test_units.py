@@ -10,11 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from fffo_drive import manual
+from fffo_drive.daemon.places import SYSTEM_RECORDS
 from fffo_drive.runtime.realtime import RealtimeRequest
 from fffo_drive.system import service_files as sf
 
 SYSTEMD = Path(__file__).resolve().parents[2] / "systemd"
 UNIT_TEXT = (SYSTEMD / sf.UNIT).read_text(encoding="utf-8")
+RECORDS_TEXT = (SYSTEMD / sf.RECORDS_UNIT).read_text(encoding="utf-8")
 MOST_EXPOSED = 20  # tenths; `systemd-analyze security` calls up to 2.0 "OK" in its best sense
 DOCUMENTED = {  # systemd.link(5), systemd.network(5), systemd.netdev(5)
     "Match": {"Name", "OriginalName"},
@@ -25,23 +28,45 @@ DOCUMENTED = {  # systemd.link(5), systemd.network(5), systemd.netdev(5)
 }
 
 
-def settings(name: str) -> list[str]:
-    """All values of a setting in the unit, in order."""
-    return re.findall(rf"^{name}=(.*)$", UNIT_TEXT, re.MULTILINE)
+def settings(name: str, text: str = UNIT_TEXT) -> list[str]:
+    """All values of a setting in a unit, in order."""
+    return re.findall(rf"^{name}=(.*)$", text, re.MULTILINE)
+
+
+def test_what_the_units_may_take_is_what_the_page_says():
+    page = (Path(manual.__file__).parent / "pages/howto/service.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| ([A-Z]\w+) \| (\S+) \| (\S+) \|$", page, re.MULTILINE)
+    assert {"MemoryMax", "OOMScoreAdjust", "OOMPolicy", "TasksMax", "LimitNOFILE"} <= {name for name, *_ in table}
+    for name, daemon, records in table:
+        assert settings(name) == [daemon], name
+        assert settings(name, RECORDS_TEXT) == [records], name
+
+
+def test_the_unit_of_the_records_has_the_daemons_user_directories_and_sandbox():
+    same = {"User", "Group", "StateDirectory", "CacheDirectory", "ProtectSystem", "NoNewPrivileges", "DynamicUser"}
+    same |= {name for name in re.findall(r"^((?:Protect|Private|Restrict(?!Address))\w+)=", UNIT_TEXT, re.MULTILINE)}
+    for name in same:
+        assert settings(name, RECORDS_TEXT) == settings(name), name
+    socket_text = (SYSTEMD / sf.RECORDS_SOCKET).read_text(encoding="utf-8")
+    assert settings("ListenStream", socket_text) == ["%t/fffo-drive-records/%i.sock"]
+    assert str(SYSTEM_RECORDS) == "/run/fffo-drive-records"  # %t of a system unit
+    assert sf.RECORDS_SOCKET.replace("@", "@%i") in settings("Wants")[0].split()
 
 
 @pytest.fixture
 def placed(tmp_path):
-    """The unit as installed, its program being one that is there."""
-    unit = tmp_path / sf.UNIT
-    unit.write_text(UNIT_TEXT.replace(sf.PROGRAM, shutil.which("true") or "/bin/true"), encoding="utf-8")
-    return unit
+    """The units as installed, their program being one that is there."""
+    for name in (sf.UNIT, sf.RECORDS_UNIT, sf.RECORDS_SOCKET):
+        text = (SYSTEMD / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(text.replace(sf.PROGRAM, shutil.which("true") or "/bin/true"), encoding="utf-8")
+    return tmp_path / sf.UNIT
 
 
 @pytest.mark.systemd
+@pytest.mark.parametrize("name", [sf.UNIT, sf.RECORDS_UNIT, sf.RECORDS_SOCKET])
 @pytest.mark.parametrize("instance", ["", "can0", "vcan0", "can_axis1"])
-def test_systemd_has_nothing_to_say_about_the_unit(placed, instance):
-    unit = placed.with_name(sf.UNIT.replace("@", f"@{instance}"))
+def test_systemd_has_nothing_to_say_about_the_unit(placed, name, instance):
+    unit = placed.with_name(name.replace("@", f"@{instance}"))
     done = subprocess.run(["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True)
     # it ends well even with unknown keys: what counts is that it says nothing
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -26,15 +26,14 @@ from lives_plant import (
 )
 
 from fffo_drive.evaluation.campaign import Candidate, Case
-from fffo_drive.fleet.backlash import Gap, gap_of, gap_sums
+from fffo_drive.fleet.backlash import Gap, gap_of
 from fffo_drive.fleet.channels import MEAN_DEGC, STEP_K, inverse_total, learn, stacked
 from fffo_drive.fleet.history import RunHistory
-from fffo_drive.fleet.measure import _left
-from fffo_drive.fleet.regress import PARAMETERS, balance_columns, balance_of, solve
+from fffo_drive.fleet.measure import balance_in, gap_in
+from fffo_drive.fleet.pieces import whole
+from fffo_drive.fleet.regress import PARAMETERS
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
-from fffo_drive.identification.kinematics import DEFAULT_CUTOFF_HZ
-from fffo_drive.identification.rows import delay_between, rows_at, stretches_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,21 +55,14 @@ class RealLife(NamedTuple):
 
 def row_of(record: Record) -> dict[str, Floats]:
     """What a history has of a run."""
-    cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / record.period_s)
-    stretches, _ = stretches_of([record], cutoff_hz)
-    delay_s = delay_between(stretches, cutoff_hz)
-    rows = rows_at(stretches, cutoff_hz, delay_s)
-    columns = balance_columns(rows, FACTS)
-    balance = balance_of(columns, rows)
-    found = solve(balance)
-    residual_nm = np.where(rows.sliding, rows.torque_nm - columns @ found.theta, 0.0)
-    velocity = np.concatenate([one.motion.velocity_rps for one in stretches])
-    sums = gap_sums(record, FACTS, found, delay_s)
+    balanced = balance_in(whole(record), FACTS, record.path)
+    found = balanced.estimates
+    sums = gap_in(whole(record), FACTS, balanced)
     gap = gap_of(sums, FACTS.units) if sums is not None else Gap(np.nan, np.nan, np.nan)
     return {
         "theta": found.theta, "info": found.information, "rms": np.array(found.rms_nm),
-        "orders": np.asarray(_left(rows, residual_nm, balance, FACTS)["order_amplitude_nm"]),
-        "speed": np.array(np.sqrt(np.mean(velocity**2))),
+        "orders": np.asarray(balanced.left.columns(balanced.balance, FACTS, balanced.motion)["order_amplitude_nm"]),
+        "speed": np.array(balanced.covered.columns()["speed_rms_rps"]),
         "gap": np.array(gap.gap_rev), "gap_sd": np.array(gap.log_sd),
     }  # fmt: skip
 
