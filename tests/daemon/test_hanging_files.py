@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from daemon.rig import Rig, axis_file, edit
 from fffo_drive.can.lease import BusLease
 from fffo_drive.can.link import LinkError
 from fffo_drive.cli import main
+from fffo_drive.daemon import record_keeper
 from fffo_drive.daemon import worker as workers
 from fffo_drive.daemon.client import CallError
 from fffo_drive.daemon.rpc import BAD_DOCUMENT
@@ -160,6 +162,8 @@ def test_a_recording_whose_disk_hangs_is_answered_and_another_one_begins(tmp_pat
         client = rig.client()
         rig.until("ready", client)
         keeper = rig.supervisor.recorder
+        names = itertools.count()  # two begin in the same second here, as none would after 5 s
+        monkeypatch.setattr(record_keeper, "timestamp_name", lambda axis, now_ns: f"{axis}_{next(names)}")
         real, disk = keeper.hooks.opener, SimpleNamespace(fifo=tmp_path / "hangs")
         os.mkfifo(disk.fifo)
         monkeypatch.setattr(
