@@ -77,6 +77,7 @@ def gained_by_an_axis_in_free_flight(axis: AxisFile) -> tuple[float, int]:
             False,
             False,
             0,
+            False,
         )
         command_a, _, found, state = envelope_step(config, state, seen)
         trip = trip or found
