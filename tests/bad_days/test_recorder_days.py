@@ -233,7 +233,7 @@ def test_a_rotated_run_is_evaluated_as_one(tmp_path, capsys):
     axis = axis_file(tmp_path / "b", "{rotate_bytes: 1500000, compression: none}")
     assert main(["run", str(axis), "--out", str(tmp_path / "many" / "run.mcap"), "--json"]) == 0
     many = json.loads(capsys.readouterr().out)
-    assert [Path(file).name for file in many["files"]] == ["run.mcap", "run_002.mcap"]
+    assert [Path(file).name for file in many["files"]] == ["run.mcap", "run_002.mcap", "run_003.mcap"]
     assert many["metrics"] == one["metrics"]
     assert many["ticks"] == one["ticks"]
 

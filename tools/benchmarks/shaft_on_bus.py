@@ -32,7 +32,7 @@ class ShaftOnBus:
     def __init__(self, bus: str, plan: Plan) -> None:
         drive = plan.axis.drive
         assert isinstance(drive, CanopenDriveSection)
-        self._counts_per_rev = float(1 << drive.resolver_bits)
+        self._counts_per_rev = float(drive.counts)
         self._link = open_link(bus, filters=[CanFilter(TPDO1, FUNCTION_MASK)])
         self._time_ns, self._counts = np.zeros(KEPT, np.int64), np.zeros(KEPT, np.int64)
         self._heard = 0
