@@ -80,7 +80,8 @@ def test_the_run_command_records_what_it_reports(tmp_path, capsys):
     # nothing acts outside Operation Enabled, and the first command waits for it
     enabled = (run.rows["statusword"] & 0x6F) == 0x27
     assert (run.rows["current_command_a"][~enabled] == 0).all()
-    total = run.rows["proportional_a"] + run.rows["integral_a"] + run.rows["friction_nm"] / 0.148
+    forward_nm = run.rows["friction_nm"] + run.rows["inertia_nm"]
+    total = run.rows["proportional_a"] + run.rows["integral_a"] + run.rows["hold_a"] + forward_nm / 0.148
     np.testing.assert_allclose(run.rows["requested_a"], total, atol=1e-12)
     # identify and diagnose need no file beside it
     facts = facts_for(None, [out])
