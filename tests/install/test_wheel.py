@@ -27,7 +27,7 @@ from install.test_install import PROGRAM
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import COMMANDS, parser_of
-from fffo_drive.cli.exits import EXIT_DRIVE_FAULT
+from fffo_drive.cli.exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 # `commission` ends with it where a busy machine misses a limit of time; the record is written all the same
@@ -70,6 +70,7 @@ IN_PROCESS = (
     Typed("fleet status store", "100 % done"),
     Typed("fleet compact store", "2 records in 1 file"),
     Typed("fleet report store --out population", "2 runs", "population/report.html"),
+    Typed("fleet answer", "for yourself use fleet add --work", codes=(EXIT_BAD_INPUT,)),
     Typed("fleet watch store", "a change is looked for from run 9 on"),
     Typed("fleet diagnose store --out changed", "changed/report.html", "changed/report.json"),
     Typed("fleet compare work.mcap circle/before.mcap --out differences", "1 run against 1", "differences/report.html"),
@@ -98,17 +99,17 @@ WITH_TORQUE = (
     Typed("ctl --sockets s toggle fb", "toggle: fb"),
     Typed("ctl --sockets s set controller.proportional_a_per_rps 0.9", "value: 0.9"),
     Typed("ctl --sockets s start gentle.yaml --wait-s 60", "state: enabled"),
-    Typed("ctl --sockets s velocity 1 --wait-s 60", "to_rps: 1"),
-    Typed("ctl --sockets s step 0.5 --wait-s 60", "to_rps: 1.5"),
+    Typed("ctl --sockets s velocity 1 --run-on --wait-s 60", "to_rps: 1"),
+    Typed("ctl --sockets s step 0.5 --run-on --wait-s 60", "to_rps: 1.5"),
 )
 WHILE_IT_TURNS = (
     Typed("top --sockets s --once", "following"),
     Typed("scope --sockets s", "http://127.0.0.1:"),
 )
 THE_END = (
-    Typed("ctl --sockets s stop --wait-s 60", "state: enabled, reached: True"),
-    Typed("ctl --sockets s quick-stop --wait-s 60", "state: ready, reached: True"),
-    Typed("ctl --sockets s disable", "state: ready, reached: True"),
+    Typed("ctl --sockets s stop --wait-s 60", "rps measured; state: enabled"),
+    Typed("ctl --sockets s quick-stop --wait-s 60", "rps measured; state: ready"),
+    Typed("ctl --sockets s disable", "rps measured; state: ready"),
     Typed("ctl --sockets s reset-fault", "only in fault", codes=(EXIT_DRIVE_FAULT,)),
     Typed("ctl --sockets s record off", ".mcap"),
     Typed("ctl --sockets s events", "quick_stop"),

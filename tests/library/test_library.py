@@ -349,8 +349,8 @@ def test_recordings_have_the_figures_of_the_command_line_and_one_that_broke_off_
     assert main(["evaluate", "--runs", *files, "--out", str(tmp_path / "out"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     found = fd.evaluate(runs=[other, recorded])
-    assert list(found.controllers) == said["controllers"] == ["pi", "pi+fffo"]
-    for controller, run in (("pi", other), ("pi+fffo", recorded)):
+    assert list(found.controllers) == said["controllers"] == ["pi+", "pi+fffo+"]
+    for controller, run in (("pi+", other), ("pi+fffo+", recorded)):
         assert found.figure("true.ise", controller) == said["figures"]["true.ise"][controller]["value"]
         assert found.figure("true.ise", controller) == pytest.approx(run.metrics.ise, rel=1e-9)
     shorter = tmp_path / "shorter.yaml"
