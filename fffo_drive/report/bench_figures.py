@@ -36,7 +36,7 @@ COLOURS = {
     "before": "orange",
     "after": "blue",
 }
-DASHES: dict[str, Dash] = {"PI+FBFO": "dashdot"}
+DASHES: dict[str, Dash] = {"PI+FBFO": "dashdot", "PI+FFFO+": "dotted"}
 WEIGHTS = {"PI": 1.3, "PI+FFFO": 2.1, "PI+FFFO+": 1.7, "before": 1.3, "after": 2.1}
 SPARE_COLOURS = ("grey", "purple")
 SHOWN = ("PI", "PI+FFFO", "PI+FFFO+")  # Fig. 8 compares the first two
@@ -160,7 +160,14 @@ def cutout_figures(data: BenchData, cutouts: list[ShownPart]) -> list[Figure]:
         part = slice(cutout.begin, cutout.end)
         x = Uniform(cutout.begin * data.period_s, data.period_s)
         series = [
-            Series(name, x, data.velocity_rps[name][part], colour_of(name, shown), weight=WEIGHTS.get(name, 1.7))
+            Series(
+                name,
+                x,
+                data.velocity_rps[name][part],
+                colour_of(name, shown),
+                dash=DASHES.get(name, "solid"),
+                weight=WEIGHTS.get(name, 1.7),
+            )
             for name in shown
         ]
         series.append(Series("reference", x, data.reference_rps[part], "ink", dash="dashed", weight=1.4))
