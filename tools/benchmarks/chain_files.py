@@ -77,6 +77,7 @@ class Chain:
             **first_law(inertia_kg_m2, torque_constant_nm_per_a),
             "current_limit_a": axis["controller"]["current_limit_a"],
         }
+        axis["envelope"]["accept_runaway"] = True  # as a draft of bring-up has it for a simulated drive
         axis |= {"name": "axis", "model": MODEL, "commissioning": "axis.commissioning.yaml"}
         _write(self.axis, axis)
 
