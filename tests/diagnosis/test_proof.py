@@ -83,6 +83,13 @@ def test_a_model_that_is_better_in_torque_and_worse_in_velocity_does_worse():
     assert "velocity" in proof.worse()
 
 
+def test_a_run_of_gaps_has_no_window_and_its_velocity_decides_nothing():
+    proof = proof_of(fitted()[2])
+    proof.scored &= np.arange(proof.scored.size) % 2 == 0  # no two rows in succession
+    assert velocity_squares(proof.data, proof.fitted, proof.inertia, proof.scored).size == 0
+    assert proof.worse() == ""
+
+
 def test_without_an_effect_nothing_is_worse_and_nothing_changes():
     _, base, _ = fitted()
     proof = proof_of(base)
