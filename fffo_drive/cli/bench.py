@@ -143,9 +143,11 @@ def _metrics_table(result: BenchResult) -> Table:
     percent, bases = percent_of_bases(result.metrics), set(bases_of(result.metrics).values())
     base = bases.pop() if len(bases) == 1 else "the smallest"
     table = Table(
-        title=f"velocity error: value, % of {base} (% in the paper's Table II)", title_justify="left", box=SIMPLE,
+        title=f"velocity error: value, % of {base} (% in the paper's Table II)",
+        title_justify="left",
+        box=SIMPLE,
         padding=(0, 0, 0, 1),
-    )  # fmt: skip
+    )
     table.add_column("", no_wrap=True)
     for key, unit in METRIC_UNITS.items():
         table.add_column(f"{key.upper()} {unit}", justify="right", no_wrap=True)

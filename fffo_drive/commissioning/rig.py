@@ -57,9 +57,13 @@ class Rig:
     """A drive and the session to use it with."""
 
     def __init__(
-        self, drive: Drive, session: SessionConfig, longest_s: float, tell: Callable[[str], None] = lambda text: None,
+        self,
+        drive: Drive,
+        session: SessionConfig,
+        longest_s: float,
+        tell: Callable[[str], None] = lambda text: None,
         prepare: Callable[[Session], None] = lambda session: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`prepare` gets the first session on a bus, before anything is asked of the drive."""
         self.drive = drive
         self._tell = tell

@@ -48,9 +48,11 @@ class DriveProposal(NamedTuple):
 
 
 def propose(
-    objects: DriveObjects, node_id: int, needs_of: Callable[[CanopenDriveConfig], list[Need]],
+    objects: DriveObjects,
+    node_id: int,
+    needs_of: Callable[[CanopenDriveConfig], list[Need]],
     base: Mapping[str, Any] | None = None,
-) -> DriveProposal:  # fmt: skip
+) -> DriveProposal:
     """`needs_of`: what stands against the drive with a configuration. `base`: keys that its profile, or a person, sets.
 
     A value of `base` that no section takes is left to the check of the axis file. Raises MappingError.
@@ -111,9 +113,10 @@ def open_units(section: Mapping[str, Any]) -> dict[str, int]:
     return {
         key: one["object"]
         for key in SCALED
-        if (one := section.get(key)) and one.get("object", standard[key]) != standard[key]
+        if (one := section.get(key))
+        and one.get("object", standard[key]) != standard[key]
         and one.get("units_per_a") is None
-    }  # fmt: skip
+    }
 
 
 def config_of(section: Mapping[str, Any], node_id: int, rate_hz: int | None = None) -> CanopenDriveConfig:

@@ -191,9 +191,11 @@ class Api:
         self._command(caller, wanted, "enable")
         try:
             return await self._reached(
-                lambda: supervisor.has_torque, wanted.wait_s, "Operation Enabled",
+                lambda: supervisor.has_torque,
+                wanted.wait_s,
+                "Operation Enabled",
                 lambda: supervisor.state not in WANTING_TORQUE,
-            )  # fmt: skip
+            )
         finally:
             if self.holder is caller:
                 self._hold_answered_s = time.monotonic()

@@ -97,9 +97,16 @@ class RecordKeeper:
             if connection is not None and not self.running:
                 try:
                     recorder, file = await self._disk.run(
-                        self._start, plan, connection, sources, toggle, note,
-                        doing="opening a recording in", at=self._directory(plan), late=self._end_late,
-                    )  # fmt: skip
+                        self._start,
+                        plan,
+                        connection,
+                        sources,
+                        toggle,
+                        note,
+                        doing="opening a recording in",
+                        at=self._directory(plan),
+                        late=self._end_late,
+                    )
                 except OSError as error:
                     self._no_file = f"no file: {error}"
                     raise
@@ -119,9 +126,12 @@ class RecordKeeper:
             if recorder is None:
                 return []
             found = await self._disk.run(
-                self._stop, recorder, doing="closing", at=recorder.current_path,
+                self._stop,
+                recorder,
+                doing="closing",
+                at=recorder.current_path,
                 late=lambda files: loop.call_soon_threadsafe(self._recorded, files, self._store),
-            )  # fmt: skip
+            )
             return self._recorded(found, self._store)
 
     def _recorded(self, found: Sequence[Path], store: str | None) -> list[str]:

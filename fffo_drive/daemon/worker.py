@@ -80,9 +80,13 @@ class Worker:
         return bool(self._hung)
 
     async def run(
-        self, function: Callable[..., T], *arguments: Any, doing: str = "", at: Path | None = None,
+        self,
+        function: Callable[..., T],
+        *arguments: Any,
+        doing: str = "",
+        at: Path | None = None,
         late: Callable[[T], object] | None = None,
-    ) -> T:  # fmt: skip
+    ) -> T:
         """Result or exception of `function(*arguments)` on the thread.
 
         Raises DiskSilentError, with `doing` (reading, writing) and the file where it hangs, or `at`. A result that

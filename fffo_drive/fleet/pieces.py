@@ -252,9 +252,13 @@ class LogPieces:
         seen = self._seen
         total, count = seen.error
         return found | {
-            "ticks": seen.rows, "late": seen.late, "skipped": seen.skipped, "without_feedback": seen.without_feedback,
-            "trip": seen.trip, "speed_error_rms_rps": math.sqrt(total / count) if count else None,
-        }  # fmt: skip
+            "ticks": seen.rows,
+            "late": seen.late,
+            "skipped": seen.skipped,
+            "without_feedback": seen.without_feedback,
+            "trip": seen.trip,
+            "speed_error_rms_rps": math.sqrt(total / count) if count else None,
+        }
 
 
 class _Cut:

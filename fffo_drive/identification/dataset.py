@@ -144,7 +144,7 @@ def record_of_columns(
 
 def record_of_part(
     path: Path, columns: Mapping[str, Any], timing: LogTiming | None, facts: DriveFacts, digest: str
-) -> Record:  # fmt: skip
+) -> Record:
     """As `record_of_log`, of a part of a log, (n,) each; `timing` of the ticks of our loop. Nothing is checked."""
     own, fresh = with_limit_column(columns), None
     if timing is not None:
@@ -298,7 +298,7 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
 
 def _record(
     path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str], digest: str
-) -> Record:  # fmt: skip
+) -> Record:
     record = _unchecked(path, columns, fresh, facts, warnings, digest)
     problems, found = check_record(record)
     if problems:

@@ -95,9 +95,15 @@ def samples_a_row(period_s: float, cutoff_hz: float) -> int:
 
 
 def stretch_of(
-    number: int, record: Record, part: slice, motion: Kinematics, travel_rev: float, cutoff_hz: float, rows: Integers,
+    number: int,
+    record: Record,
+    part: slice,
+    motion: Kinematics,
+    travel_rev: float,
+    cutoff_hz: float,
+    rows: Integers,
     before: Before = NOTHING_BEFORE,
-) -> RegressionStretch:  # fmt: skip
+) -> RegressionStretch:
     """One segment with its motion; presliding is over after `travel_rev`."""
     sliding = sliding_mask(motion, travel_rev, 2.0 / cutoff_hz, before) & trusted(record, part, cutoff_hz)
     direction = low_pass(sure_direction(motion, before), cutoff_hz, record.period_s)

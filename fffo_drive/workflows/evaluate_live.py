@@ -158,9 +158,10 @@ def runs_on_bus(
                     process.check()
                 session.set_controller(candidate.controller)
                 own = plan._replace(
-                    profile=profile, axis=axis_of(scenario, candidate.name),
+                    profile=profile,
+                    axis=axis_of(scenario, candidate.name),
                     model=wrong_model(scenario.model, scenario.file.mismatch, seed),
-                )  # fmt: skip
+                )
                 header = candidate_header(own, candidate.name, candidate.toggle, identity, {"seed": str(seed)})
                 path = out / f"{candidate.name.replace('+', '_')}_{seed}.mcap"
                 with bar(f"{candidate.name}, seed {seed}") as progress:

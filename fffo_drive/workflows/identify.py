@@ -51,9 +51,12 @@ class Identified:
 
 
 def fitted_model(
-    records: Sequence[Record], facts: DriveFacts, name: str, settings: FitSettings | None = None,
+    records: Sequence[Record],
+    facts: DriveFacts,
+    name: str,
+    settings: FitSettings | None = None,
     progress: Progress | None = None,
-) -> tuple[Fit, ModelFile]:  # fmt: skip
+) -> tuple[Fit, ModelFile]:
     """The fit of records, from `where_command_acts`, and the model as `identify` writes it. Raises DataError."""
     fit = fit_records(records, settings or FitSettings(), facts, progress)
     return fit, model_file(fit, records, name, facts.units)

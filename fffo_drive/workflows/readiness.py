@@ -36,9 +36,12 @@ HISTORY = 3  # entries of 0x1003 that are reported
 
 
 def stands_between(
-    objects: SdoObjects, emergencies: Sequence[Emergency], operational: bool, written: Sequence[str] = (),
+    objects: SdoObjects,
+    emergencies: Sequence[Emergency],
+    operational: bool,
+    written: Sequence[str] = (),
     reset_command: str = "fffo-drive bring-up BUS --reset-fault",
-) -> list[HostFinding]:  # fmt: skip
+) -> list[HostFinding]:
     """All findings, in the order in which they should be mended.
 
     `operational`: the drive was in NMT OPERATIONAL when its state was read. `written`: objects that the axis file

@@ -32,8 +32,13 @@ CANNOT = {"epos2", "prbt", "schunk", "no_torque", "fixed"}  # no torque object o
 MAPPABLE = (0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x6078)
 SIGNED = {0x6060: 2, 0x6061: 2, 0x6064: 4, 0x606C: 4, 0x6071: 3, 0x6077: 3, 0x6078: 3}
 # what a user finds in the manuals; none of them is a key of this program that he would have to know of
-VALUES = {"units_per_a": 3276, "counts_per_rev": 4096, "velocity_units_per_rps": 4096, "rated_torque_nm": 1.0,
-          "silence_detection": "none"}  # fmt: skip
+VALUES = {
+    "units_per_a": 3276,
+    "counts_per_rev": 4096,
+    "velocity_units_per_rps": 4096,
+    "rated_torque_nm": 1.0,
+    "silence_detection": "none",
+}
 
 
 def servo(changes: Objects | None = None, without: tuple[int | tuple[int, int], ...] = ()) -> Objects:
@@ -43,8 +48,11 @@ def servo(changes: Objects | None = None, without: tuple[int | tuple[int, int], 
         if index in without or (index, sub) in without:
             continue
         kind = SIGNED.get(index) or {1: 5, 2: 6, 4: 7}.get(len(value), 9)
-        rows[index, sub] = {"type": f"0x{kind:04X}", "access": "ro" if index in (0x1000, 0x6041, 0x6502) else "rw",
-                            "pdo": str(int(index in MAPPABLE))}  # fmt: skip
+        rows[index, sub] = {
+            "type": f"0x{kind:04X}",
+            "access": "ro" if index in (0x1000, 0x6041, 0x6502) else "rw",
+            "pdo": str(int(index in MAPPABLE)),
+        }
         if kind != 9:
             rows[index, sub]["default"] = str(int.from_bytes(value, "little"))
     rows[0x60C2, 0] = {"type": "0x0005", "access": "const", "default": "2"}
@@ -162,14 +170,20 @@ def test_a_vendors_object_that_a_file_of_vendors_objects_lacks_is_missing(
         ({}, ((0x1802, 3),), {"status_event": 0}),
         ({(0x6071, 0): {"type": "0x4"}}, (), {"target": {"bits": 32}}),
         ({(0x6078, 0): {"type": "0x3"}}, (0x6077,), {"torque_feedback": {"object": 0x6078, "units_per_a": 100.0}}),
-        ({(0x1400, 2): {"access": "const", "default": "255"}}, (),
-         {"pdo": {"command": 2, "motion": 1, "status": 2, "event": 3}}),
+        (
+            {(0x1400, 2): {"access": "const", "default": "255"}},
+            (),
+            {"pdo": {"command": 2, "motion": 1, "status": 2, "event": 3}},
+        ),
         ({(0x60C2, 2): {"low": "0xFD", "high": "0xFD"}}, (), {"highest_rate_hz": 1000}),
         ({(0x60C2, 1): {"low": "4"}, (0x60C2, 2): {"type": "0x2", "low": "-3"}}, (), {"highest_rate_hz": 250}),
-        ({(0x60C2, 1): {"access": "const", "default": "2"}, (0x60C2, 2): {"access": "const", "default": "-3"}}, (),
-         {"highest_rate_hz": 500}),
+        (
+            {(0x60C2, 1): {"access": "const", "default": "2"}, (0x60C2, 2): {"access": "const", "default": "-3"}},
+            (),
+            {"highest_rate_hz": 500},
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_key_does_without_what_stands_against_a_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: Objects, without: Any, keys: dict[str, Any]
 ) -> None:
@@ -184,14 +198,19 @@ def test_a_key_does_without_what_stands_against_a_drive(
 
 
 def test_all_that_stands_against_a_drive_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    changes: Objects = {(0x1000, 0): {"default": "0"}, (0x6502, 0): {"default": "0x08"},
-                        (0x60C2, 2): {"low": "-3"}}  # fmt: skip
+    changes: Objects = {(0x1000, 0): {"default": "0"}, (0x6502, 0): {"default": "0x08"}, (0x60C2, 2): {"low": "-3"}}
     path = written(tmp_path, servo(changes, (0x6061, 0x6007, 0x1802, 0x1803)), bit_rates=(125, 250))
     code, found = facts(path, capsys)
     assert code == 0
     assert [next(iter(need["keys"])) for need in found["needs"]] == [
-        "device_profile", "mode", "mode_display", "silence_reaction", "pdo", "bitrate_hz", "highest_rate_hz",
-    ]  # fmt: skip
+        "device_profile",
+        "mode",
+        "mode_display",
+        "silence_reaction",
+        "pdo",
+        "bitrate_hz",
+        "highest_rate_hz",
+    ]
     assert found["bit_rates_hz"] == [125_000, 250_000]
     assert checks(tmp_path, found["snippet"]) == 0
     beyond = written(tmp_path, servo(changes, (0x6071, 0x6061, 0x606C)))
@@ -225,9 +244,15 @@ def test_none_is_never_filled_in_for_a_person(tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize(
-    ("rates", "bitrate_hz", "rate_hz"), [((125, 250), 250_000, 500), ((500,), 500_000, 1000), ((), None, 2000),
-                                         ((10,), 10_000, None), ((20, 1000), None, 2000)],
-)  # fmt: skip
+    ("rates", "bitrate_hz", "rate_hz"),
+    [
+        ((125, 250), 250_000, 500),
+        ((500,), 500_000, 1000),
+        ((), None, 2000),
+        ((10,), 10_000, None),
+        ((20, 1000), None, 2000),
+    ],
+)
 def test_bit_rates_of_the_file_decide_bit_rate_and_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], rates: tuple[int, ...], bitrate_hz: int, rate_hz: int | None
 ) -> None:
@@ -278,10 +303,45 @@ def test_the_range_of_the_mode_is_read(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 BASES = [path.read_bytes().decode("latin-1") for path in sorted(FILES.glob("*.eds"))]
-NUMBERS = ["0x0A", "10", "-3", "0xFD", "0", "255", "0XFF", "1Fh", "$NODEID+0x200", "0x40000180+$NODEID", "", "many",
-           "0xFFFFFFFF", "-129", "007", "1.0", "0x7", "99999999999999999999", "\xfc", "3.5", "True"]  # fmt: skip
-KEYS = ["LowLimit", "HighLimit", "DefaultValue", "AccessType", "PDOMapping", "DataType", "ObjectType", "SubNumber",
-        "ParameterValue", "BaudRate_1000", "BaudRate_250", "VendorNumber", "CompactSubObj", "; a remark"]  # fmt: skip
+NUMBERS = [
+    "0x0A",
+    "10",
+    "-3",
+    "0xFD",
+    "0",
+    "255",
+    "0XFF",
+    "1Fh",
+    "$NODEID+0x200",
+    "0x40000180+$NODEID",
+    "",
+    "many",
+    "0xFFFFFFFF",
+    "-129",
+    "007",
+    "1.0",
+    "0x7",
+    "99999999999999999999",
+    "\xfc",
+    "3.5",
+    "True",
+]
+KEYS = [
+    "LowLimit",
+    "HighLimit",
+    "DefaultValue",
+    "AccessType",
+    "PDOMapping",
+    "DataType",
+    "ObjectType",
+    "SubNumber",
+    "ParameterValue",
+    "BaudRate_1000",
+    "BaudRate_250",
+    "VendorNumber",
+    "CompactSubObj",
+    "; a remark",
+]
 ACCESS = ["ro", "rw", "const", "wo", "rww", "RWR", "often", ""]
 
 

@@ -178,9 +178,10 @@ def test_what_the_drive_said_before_it_was_connected_is_told_only_while_it_is_in
                 self.send(0x080 + NODE, struct.pack("<HB5s", 0x8130, 0x11, bytes(5)))
 
     objects = servo_dictionary(NODE) | {
-        (0x603F, 0): struct.pack("<H", 0x8130), (0x1003, 0): b"\x03",
+        (0x603F, 0): struct.pack("<H", 0x8130),
+        (0x1003, 0): b"\x03",
         **{(0x1003, sub): struct.pack("<I", code) for sub, code in ((1, 0x8130), (2, 0x8130), (3, 0x3220))},
-    }  # fmt: skip
+    }
     drive = CanopenDrive(config)
     old, in_fault, enabled = "EMCY 0x8130", 0x0218, 0x1237
     with Grumbling(config.bus, NODE, objects) as node, drive:

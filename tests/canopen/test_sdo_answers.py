@@ -73,7 +73,7 @@ def one_late(answers: list[bytes]) -> list[bytes]:
         (one_late, 0x1008, f"a segment read (0x00 in its upper three bits), got the command 0x41 ({LATE})"),
         (lambda answers: [b"\x80\x40\x60\x00\x11\x00\x09\x06"], 0x6041, "got an abort of 0x6040:00"),
     ],
-)  # fmt: skip
+)
 def test_an_answer_to_something_else_is_no_silence(twist: Any, index: int, said: str) -> None:
     with pytest.raises(SdoAnswerError) as caught:
         asked(twist, lambda service: service.read(index, 0))

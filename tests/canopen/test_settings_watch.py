@@ -53,14 +53,18 @@ def test_nothing_is_read_while_no_loop_runs_and_nothing_is_amiss_while_one_does(
 @pytest.mark.parametrize(
     ("where", "value", "words"),
     [
-        ((0x1016, 1), bytes(4), "0x1016:01 is 0 (0x00000000), but was told 8323222 (0x007F0096), needed for the drive "
-         "to notice that the PC is silent"),
+        (
+            (0x1016, 1),
+            bytes(4),
+            "0x1016:01 is 0 (0x00000000), but was told 8323222 (0x007F0096), needed for the drive "
+            "to notice that the PC is silent",
+        ),
         ((0x6061, 0), b"\x08", "0x6061:00 is 8 (0x08), but was told 10 (0x0A), needed for mode 10"),
         ((0x1600, 2), struct.pack("<I", 0x60FF0020), "0x1600:02 is 1627324448 (0x60FF0020)"),
         ((0x1800, 1), struct.pack("<I", 0x80000185), "0x1800:01 is 2147484037 (0x80000185)"),
         ((0x1400, 2), b"\xff", "0x1400:02 is 255 (0xFF), but was told 1 (0x01), needed for the transmission type of"),
     ],
-)  # fmt: skip
+)
 def test_a_change_is_counted_once_and_says_object_and_both_values(config, at_once, where, value, words):  # noqa: F811
     with ScriptedNode(config.bus, NODE) as node, CanopenDrive(config) as drive, Ticking(drive.port):
         node.objects[where] = value

@@ -76,9 +76,11 @@ def test_the_law_of_an_old_file_lacks_every_part_and_the_best_none(scenario):
     papers = scenario.axis.model_copy(update={"controller": scenario.axis.controller.papers})
     keys = [cost.key.removeprefix("controller.") for cost in costs(scenario, papers)]
     assert keys == [
-        *(f"feedforward.{part}" for part in PARTS), "observer.learns_in", "at_rest.release_friction",
+        *(f"feedforward.{part}" for part in PARTS),
+        "observer.learns_in",
+        "at_rest.release_friction",
         "at_rest.hold_a_per_rev_s",
-    ]  # fmt: skip
+    ]
 
 
 def test_twice_the_acceleration_costs_twice_the_torque_and_the_error(scenario):

@@ -28,18 +28,26 @@ parts = st.fixed_dictionaries(
     {},
     optional={
         "error_filter_s": st.sampled_from([0.0, 0.0002, 0.001]),
-        "observer": st.fixed_dictionaries({}, optional={
-            "toggle": st.sampled_from(["ff", "fb", "off"]), "learns_in": st.sampled_from(["friction", "integral"]),
-        }),
-        "at_rest": st.fixed_dictionaries({}, optional={
-            "gain_share": st.sampled_from([0.2, 0.5, 1.0]), "release_friction": st.booleans(),
-            "time_s": st.sampled_from([0.05, 0.1]),
-        }),
+        "observer": st.fixed_dictionaries(
+            {},
+            optional={
+                "toggle": st.sampled_from(["ff", "fb", "off"]),
+                "learns_in": st.sampled_from(["friction", "integral"]),
+            },
+        ),
+        "at_rest": st.fixed_dictionaries(
+            {},
+            optional={
+                "gain_share": st.sampled_from([0.2, 0.5, 1.0]),
+                "release_friction": st.booleans(),
+                "time_s": st.sampled_from([0.05, 0.1]),
+            },
+        ),
         "feedforward": st.fixed_dictionaries(
             {}, optional={name: st.booleans() for name in ("inertia", "preview", "delay_aware")}
         ),
     },
-)  # fmt: skip
+)
 
 
 def document(controller: dict[str, Any], said: str | None) -> dict[str, Any]:

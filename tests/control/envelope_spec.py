@@ -27,9 +27,16 @@ CONFIG = env.EnvelopeConfig(
     reactions=REACTIONS,
 )  # fmt: skip
 REST = env.EnvelopeState(
-    last_command_a=0.0, i2t_a2s=0.0, following_s=0.0, was_enabled=False, unheeded_s=0.0, followed_s=0.0,
-    limited_side=0.0, reversing_s=0.0, steady_s=0.0,
-)  # fmt: skip
+    last_command_a=0.0,
+    i2t_a2s=0.0,
+    following_s=0.0,
+    was_enabled=False,
+    unheeded_s=0.0,
+    followed_s=0.0,
+    limited_side=0.0,
+    reversing_s=0.0,
+    steady_s=0.0,
+)
 HEALTHY = env.EnvelopeInputs(
     requested_a=1.0, velocity_rps=0.5, position_rev=0.5, error_rps=0.25, feedback_age=0, status_age=0,
     statusword=0x0637, emergencies=0, reboots=0, not_operational=False, bus_off=False, foreign_frames=0,
@@ -164,9 +171,7 @@ def expected(config: env.EnvelopeConfig, state: env.EnvelopeState, seen: env.Env
             + 16 * ((seen.statusword // 2048) % 2)
         )
     heat = warmed(config, heat, command, config.period_s)
-    after = env.EnvelopeState(
-        command, heat, errs[0], seen.wanted and seen.enabled, unheeded, errs[1], side, *turns
-    )  # fmt: skip
+    after = env.EnvelopeState(command, heat, errs[0], seen.wanted and seen.enabled, unheeded, errs[1], side, *turns)
     return command, limits, trip, after
 
 

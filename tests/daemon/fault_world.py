@@ -29,7 +29,7 @@ from bad_days.world import (
     World,
     live,
     ramp_to,
-)  # fmt: skip
+)
 from daemon.fault_table import PARTS
 from interpreted import TESTS
 

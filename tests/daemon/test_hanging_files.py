@@ -241,8 +241,9 @@ def test_row_sockets_gone(tmp_path):
                 (rig.sockets / "control.sock").mkdir()  # in the way
                 rig.until_status(lambda s: said(client, "cannot be made anew"), client)
                 (rig.sockets / "control.sock").rmdir()
-            rig.until_status(lambda s: all((rig.sockets / name).is_socket() for name in ("control.sock", "watch.sock")),
-                             client)  # fmt: skip
+            rig.until_status(
+                lambda s: all((rig.sockets / name).is_socket() for name in ("control.sock", "watch.sock")), client
+            )
             assert rig.client().call("status")["state"] == "offline"
             assert rig.client(watching=True).call("status")["state"] == "offline"
             modes = {path.name: path.stat().st_mode & 0o777 for path in rig.sockets.iterdir()}

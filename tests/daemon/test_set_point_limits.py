@@ -48,9 +48,10 @@ def test_what_is_asked_for_takes_its_bounds_from_the_axis_file(tmp_path):
     plan = plan_of(tmp_path)
     infinite = (-math.inf, math.inf)
     jog, velocity, step = (
-        set_points.jog(plan, -2.5), set_points.velocity(plan, -2.5, None, False),
+        set_points.jog(plan, -2.5),
+        set_points.velocity(plan, -2.5, None, False),
         set_points.step(plan, None, -3.0, 0.5, None, False),
-    )  # fmt: skip
+    )
     for leased in (jog, velocity, step):  # 0.4 s at 500 Hz, then as an ordered stop
         assert leased.leased
         assert leased.set_point[:6] == (-2.5, 20.0, 300.0, 200, 0.0, 40.0)

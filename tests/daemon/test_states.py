@@ -158,8 +158,12 @@ def test_whatever_withdraws_motion_latches_and_says_who_and_when(state, event):
     machine.state = state
     machine.take(event, who="pid 7")
     assert machine.last_stop == (
-        "pid 7", "1970-01-01T12:03:07.500+00:00", event.value, WORDS[event], machine.epoch.value
-    )  # fmt: skip
+        "pid 7",
+        "1970-01-01T12:03:07.500+00:00",
+        event.value,
+        WORDS[event],
+        machine.epoch.value,
+    )
     machine.epoch.advance()  # acknowledged
     now = machine.epoch.value
     assert machine.last_stop.epoch == now

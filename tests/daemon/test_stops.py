@@ -433,12 +433,13 @@ def test_a_set_point_whose_client_is_silent_ends_as_by_a_stop_of_it(rig, enabled
 @pytest.mark.parametrize(
     ("given", "word"),
     [
-        ({"for_s": 1e-308}, "for_s: a number from 0.01 to 600"), ({"for_s": 0}, "for_s: a number from 0.01 to 600"),
+        ({"for_s": 1e-308}, "for_s: a number from 0.01 to 600"),
+        ({"for_s": 0}, "for_s: a number from 0.01 to 600"),
         ({"for_s": 1, "run_on": True}, "give one of renews, for_s and run_on"),
         ({"renews": 1, "run_on": True}, "give one of renews, for_s and run_on"),
         ({"wait_s": 5}, "wait_s needs for_s or run_on"),
     ],
-)  # fmt: skip
+)
 def test_how_long_a_set_point_lives_is_said_in_one_way(rig, given, word):
     with pytest.raises(CallError) as error:
         rig.client().call("velocity", to_rps=1.0, **given)

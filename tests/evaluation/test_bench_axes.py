@@ -52,6 +52,10 @@ def test_the_nearest_axis_is_the_papers_but_for_two_numbers_and_says_what_they_c
     papers = axis_of(nearest, "pi+fffo")
     assert law_margins(papers, nearest.model, observer_on=True).phase_deg == pytest.approx(25.0, abs=0.5)
     label = nearest_label(nearest)
-    for text in ("Kt 0.0485 Nm/A and L 5.9 Nm/rev are inferred", "16.2 rps/A (printed 26.17)",
-                 "0.103 s (printed 0.166)", "25 deg"):  # fmt: skip
+    for text in (
+        "Kt 0.0485 Nm/A and L 5.9 Nm/rev are inferred",
+        "16.2 rps/A (printed 26.17)",
+        "0.103 s (printed 0.166)",
+        "25 deg",
+    ):
         assert text in label

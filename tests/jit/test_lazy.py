@@ -20,8 +20,12 @@ ALL_KERNELS = "import sys, fffo_drive.library, fffo_drive.drive.cia402 as c;"
 def printed(code: str, **environment: str) -> list[str]:
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, **environment}, capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     return done.stdout.split()
 
 

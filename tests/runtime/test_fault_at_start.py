@@ -76,9 +76,14 @@ def test_commission_the_same(tmp_path, capsys, bus):
         plan, told = commissioning_plan(axis), list[str]()
         with pytest.raises(NotAgreedError):  # to the first motion
             commission_axis(
-                plan, bounds_of(plan), tmp_path / "record.yaml", bus, told.append, may_move=lambda motion: False,
+                plan,
+                bounds_of(plan),
+                tmp_path / "record.yaml",
+                bus,
+                told.append,
+                may_move=lambda motion: False,
                 reset_fault=True,
-            )  # fmt: skip
+            )
         assert any(text.startswith("fault cleared: ") for text in told)
         assert node.node.drive.state == SWITCH_ON_DISABLED
 

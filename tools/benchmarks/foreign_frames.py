@@ -160,9 +160,16 @@ def attacks_at(rates_hz: Sequence[int]) -> list[tuple[str, str, int, Attack]]:
 
 
 HEADER = (
-    "frames of somebody else", "axis", "1/s", "named, ticks", "trip, ticks", "as", "turned for, ms", "faster by, rps",
+    "frames of somebody else",
+    "axis",
+    "1/s",
+    "named, ticks",
+    "trip, ticks",
+    "as",
+    "turned for, ms",
+    "faster by, rps",
     "went, rev",
-)  # fmt: skip
+)
 
 
 def cells(what: str, state: str, rate: int, seen: Attack) -> list[str]:

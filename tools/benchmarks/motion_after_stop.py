@@ -53,8 +53,10 @@ class Clients:
         command = [sys.executable, str(Path(__file__).with_name("turning_clients.py"))]
         self._process = subprocess.Popen(
             [*command, str(daemon.sockets / CONTROL), str(directory)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
 
     def __enter__(self) -> Clients:
         return self
@@ -268,4 +270,4 @@ def motion_after_stop(count: int) -> Section:
         ("attack", "races", "requests refused", "moved after the stop", "longest motion beyond the lease, s"),
         [(t.attack, *map(str, (t.races, t.refused, t.moved)), f"{t.beyond_s:.3g}") for t in found],
         notes,
-    )  # fmt: skip
+    )

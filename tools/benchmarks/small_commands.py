@@ -21,18 +21,50 @@ LARGEST_S = 0.7
 EMPTY, CPU = "python -c pass", "CPU, s"
 # what takes long to load; SciPy's own modules load each for itself
 HEAVY = (
-    "numba", "scipy.linalg", "scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "scipy.special",
-    "pandas", "pyarrow", "matplotlib", "sklearn", "dask", "canopen",
-)  # fmt: skip
+    "numba",
+    "scipy.linalg",
+    "scipy.signal",
+    "scipy.stats",
+    "scipy.optimize",
+    "scipy.ndimage",
+    "scipy.special",
+    "pandas",
+    "pyarrow",
+    "matplotlib",
+    "sklearn",
+    "dask",
+    "canopen",
+)
 EDS = "tests/canopen/eds/twice.eds"
 SMALL = (
-    "--help", "ctl --help", "log --help", "run --help", "serve --help", "import --help", "identify --help",
-    "diagnose --help", "tune --help", "evaluate --help", "commission --help", "workbench --help", "manual --help",
-    "init SCRATCH/example", "config check configs/axis_simulated.yaml", "config check configs/axis_canopen.yaml",
-    "config schema axis", "config schema scenario", "config drives", "config signals", "config effects",
-    "log info tests/releases/0.1.0/run.mcap", "doctor --seconds 0", "ctl status", "scope", "top",
+    "--help",
+    "ctl --help",
+    "log --help",
+    "run --help",
+    "serve --help",
+    "import --help",
+    "identify --help",
+    "diagnose --help",
+    "tune --help",
+    "evaluate --help",
+    "commission --help",
+    "workbench --help",
+    "manual --help",
+    "init SCRATCH/example",
+    "config check configs/axis_simulated.yaml",
+    "config check configs/axis_canopen.yaml",
+    "config schema axis",
+    "config schema scenario",
+    "config drives",
+    "config signals",
+    "config effects",
+    "log info tests/releases/0.1.0/run.mcap",
+    "doctor --seconds 0",
+    "ctl status",
+    "scope",
+    "top",
     f"drive-info {EDS}",  # the last: `canopen` reads the file
-)  # fmt: skip
+)
 
 
 def loaded() -> Iterator[tuple[str, list[str]]]:
