@@ -112,8 +112,4 @@ def run() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        main(run)
-    except (RuntimeError, ClientError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    main(run, RuntimeError, ClientError)

@@ -229,8 +229,8 @@ def finish(report: Report, options: argparse.Namespace) -> int:
     return EXIT_MISSED if report.missed and not options.sample else 0
 
 
-def main(run: Callable[[], int]) -> None:
-    """Run a benchmark; a machine without a C compiler gets one clear message."""
+def main(run: Callable[[], int], *expected: type[Exception]) -> None:
+    """Run a benchmark; a machine without a C compiler and `expected` errors get one clear message."""
     from in_c import NoCompilerError
 
     try:
@@ -238,3 +238,6 @@ def main(run: Callable[[], int]) -> None:
     except NoCompilerError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(EXIT_UNAVAILABLE)
+    except expected as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)

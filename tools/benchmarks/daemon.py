@@ -277,8 +277,4 @@ def _add_recording(report: Report, files: list[str], recording: dict[str, Any]) 
 
 
 if __name__ == "__main__":
-    try:
-        main(run)
-    except (RuntimeError, ClientError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    main(run, RuntimeError, ClientError)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -108,8 +107,4 @@ def _lost(status: dict[str, Any]) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        main(run)
-    except (RuntimeError, ClientError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    main(run, RuntimeError, ClientError)

@@ -6,7 +6,6 @@ import contextlib
 import json
 import multiprocessing
 import os
-import sys
 import tempfile
 import threading
 import time
@@ -220,8 +219,4 @@ def _add(report: Report, found: dict[str, Any], drawn_hz: float | None) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(run)
-    except (RuntimeError, ClientError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    main(run, RuntimeError, ClientError)

@@ -9,7 +9,6 @@ import json
 import os
 import random
 import signal
-import sys
 import tempfile
 import threading
 import time
@@ -491,8 +490,4 @@ def faults_of(daemon: Daemon) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    try:
-        main(run)
-    except (RuntimeError, ClientError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    main(run, RuntimeError, ClientError)
