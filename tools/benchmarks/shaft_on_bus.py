@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
 
 from fffo_drive.can.bpf import CanFilter
-from fffo_drive.can.frame import TPDO1, unpack_frame
+from fffo_drive.can.frame import TPDO1, Frame, unpack_frame
 from fffo_drive.can.link import open_link
 from fffo_drive.config.drive_section import CanopenDriveSection
 from fffo_drive.workflows.plan import Plan
@@ -26,33 +27,30 @@ class ShaftError(Exception):
     """The shaft does not do what a race needs; the race does not count."""
 
 
-class ShaftOnBus:
-    """Listens from its making until `close`. Times are CLOCK_REALTIME, as the kernel stamps the frames, ns."""
+class BusListener:
+    """Hears frames of these functions (CiA 301: an identifier without its node) until `close`, on a thread of its own.
 
-    def __init__(self, bus: str, plan: Plan) -> None:
-        drive = plan.axis.drive
-        assert isinstance(drive, CanopenDriveSection)
-        self._counts_per_rev = float(drive.counts)
-        self._link = open_link(bus, filters=[CanFilter(TPDO1, FUNCTION_MASK)])
-        self._time_ns, self._counts = np.zeros(KEPT, np.int64), np.zeros(KEPT, np.int64)
-        self._heard = 0
+    Times are CLOCK_REALTIME, as the kernel stamps the frames, ns. A link does not hear what it sends itself.
+    """
+
+    def __init__(self, bus: str, *functions: int) -> None:
+        self._link = open_link(bus, filters=[CanFilter(function, FUNCTION_MASK) for function in functions])
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
     def _listen(self) -> None:
-        """TPDO1 is velocity, then position, 32 bits each (drive/canopen/object_map)."""
         while not self._end.is_set():
             heard = self._link.receive_stamped(0.2)
-            if heard is None:
-                continue
-            place = self._heard % KEPT
-            self._time_ns[place] = round(heard.time_s * 1e9)
-            self._counts[place] = int.from_bytes(unpack_frame(heard.raw).data[4:8], "little", signed=True)
-            self._heard += 1
+            if heard is not None:
+                self.hear(round(heard.time_s * 1e9), unpack_frame(heard.raw))
+
+    @abstractmethod
+    def hear(self, at_ns: int, frame: Frame) -> None:
+        """Take one frame."""
 
     def send(self, raw: bytes) -> None:
-        """A frame of somebody else's; this link does not hear itself."""
+        """A frame of somebody else's."""
         self._link.send(raw)
 
     def close(self) -> None:
@@ -60,6 +58,25 @@ class ShaftOnBus:
         self._end.set()
         self._thread.join()
         self._link.close()
+
+
+class ShaftOnBus(BusListener):
+    """Positions of the shaft, as the drive sends them."""
+
+    def __init__(self, bus: str, plan: Plan) -> None:
+        drive = plan.axis.drive
+        assert isinstance(drive, CanopenDriveSection)
+        self._counts_per_rev = float(drive.counts)
+        self._time_ns, self._counts = np.zeros(KEPT, np.int64), np.zeros(KEPT, np.int64)
+        self._heard = 0
+        super().__init__(bus, TPDO1)
+
+    def hear(self, at_ns: int, frame: Frame) -> None:
+        """TPDO1 is velocity, then position, 32 bits each (drive/canopen/object_map)."""
+        place = self._heard % KEPT
+        self._time_ns[place] = at_ns
+        self._counts[place] = int.from_bytes(frame.data[4:8], "little", signed=True)
+        self._heard += 1
 
     def between(self, begin_ns: int, end_ns: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         """(times in ns, positions in rev) of what was sent in between, shape (n,) each; waits until all is heard.

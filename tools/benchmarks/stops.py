@@ -22,11 +22,10 @@ from common import Report, finish, main, parser, shown
 from daemon import AXIS, DRIVE, PATIENCE_S, Daemon, nice_of_unit, until
 from hostile_clients import COUNT, VIEWERS, ViewerCalls, described, hostile
 from live import Streaming
-from shaft_on_bus import ShaftOnBus
+from shaft_on_bus import FUNCTION_MASK, BusListener, ShaftOnBus
 
-from fffo_drive.can.bpf import CanFilter
-from fffo_drive.can.frame import RPDO1, TPDO2, unpack_frame
-from fffo_drive.can.link import free_loopback_port, open_link
+from fffo_drive.can.frame import RPDO1, TPDO2, Frame
+from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import main as command
 from fffo_drive.daemon.client import CallError, ClientError, DaemonClient
 from fffo_drive.drive.cia402 import is_operation_enabled
@@ -36,7 +35,6 @@ from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 NAME = "stops"
 ENABLE_OPERATION = 0x0F
-FUNCTION_MASK = 0x780  # of an identifier: all but the node
 RACES, SAMPLE_RACES, LONGEST_DELAY_S = 1000, 24, 0.1
 ROUNDS, SAMPLE_ROUNDS = 100, 3
 BEYOND_QUIET_MS, LONGEST_END_S = 100.0, 5.0
@@ -46,30 +44,22 @@ LONG_TO_PREPARE = {"kind": "paper", "duration_s": 60}  # takes tens of milliseco
 ENDINGS = (("stop",), ("disable",), ("disable", "enable"), ("quick_stop",))
 
 
-class Witness:
-    """Hears the bus: when the command to the drive stopped asking for torque, and when the drive said it was gone."""
+class Witness(BusListener):
+    """When the command to the drive stopped asking for torque, and when the drive said it was gone."""
 
     def __init__(self, bus: str) -> None:
-        self._link = open_link(bus, filters=[CanFilter(RPDO1, FUNCTION_MASK), CanFilter(TPDO2, FUNCTION_MASK)])
-        self._end = threading.Event()
         self.commanded_ns = self.confirmed_ns = self._begun_ns = 0
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
+        super().__init__(bus, RPDO1, TPDO2)
 
-    def _listen(self) -> None:
-        while not self._end.is_set():
-            heard = self._link.receive_stamped(0.2)
-            if heard is None:
-                continue
-            at_ns, frame = round(heard.time_s * 1e9), unpack_frame(heard.raw)
-            word = int.from_bytes(frame.data[:2], "little")
-            kind = frame.can_id & FUNCTION_MASK
-            if at_ns < self._begun_ns:
-                continue
-            if kind == RPDO1 and not self.commanded_ns and word & ENABLE_OPERATION != ENABLE_OPERATION:
-                self.commanded_ns = at_ns
-            elif kind == TPDO2 and not self.confirmed_ns and not is_operation_enabled(word):
-                self.confirmed_ns = at_ns
+    def hear(self, at_ns: int, frame: Frame) -> None:
+        """Controlword and statusword are the first two bytes (drive/canopen/object_map)."""
+        if at_ns < self._begun_ns:
+            return
+        word, kind = int.from_bytes(frame.data[:2], "little"), frame.can_id & FUNCTION_MASK
+        if kind == RPDO1 and not self.commanded_ns and word & ENABLE_OPERATION != ENABLE_OPERATION:
+            self.commanded_ns = at_ns
+        elif kind == TPDO2 and not self.confirmed_ns and not is_operation_enabled(word):
+            self.confirmed_ns = at_ns
 
     def begin(self) -> None:
         """What came before does not count."""
@@ -83,12 +73,6 @@ class Witness:
             if time.monotonic() > deadline_s:
                 raise RuntimeError("a stop was answered, and the bus did not show it")
             time.sleep(0.001)
-
-    def close(self) -> None:
-        """Hear no more."""
-        self._end.set()
-        self._thread.join()
-        self._link.close()
 
 
 def patiently(call: Callable[[], Any]) -> Any:
