@@ -3,7 +3,7 @@
 fffo-drive drive-info FILE.eds                 modes, PDO mappings, missing objects, a drive section for an axis file
 fffo-drive drive-info FILE.eds --profile OUT   ... and write the profile of its family, for drive.profile
 
-All that stands against the drive is told, with the keys of an axis file that do without it; the section has them.
+All unmet requirements are listed, with the keys of an axis file that work around them; the section has these keys.
 Nothing is sent. Exit code 0 if the drive can be used, with these keys if need be, or the file does not say; 78 if no
 key helps.
 """
@@ -145,7 +145,7 @@ def _remarks(eds: Eds) -> list[str]:
 
 
 def _verdict(eds: Eds, fitness: Fitness) -> list[str]:
-    """Whether it can be used, and all that stands against it."""
+    """Whether it can be used, and all unmet requirements."""
     if fitness.refusals:
         lines = [f"cannot be used: {eds.drive_name}", *(f"  {text}" for text in fitness.refusals)]
     else:
@@ -154,7 +154,7 @@ def _verdict(eds: Eds, fitness: Fitness) -> list[str]:
         lines = _wrapped(f"can be used{keys}{condition or ', as far as the file says'}", "")
     choices = [need for need in fitness.proposal.needs if need.choice]
     if fitness.proposal.mended or choices:
-        lines += ["", "stands against it, and the key that does without it:"]
+        lines += ["", "unmet requirements, and the key that works around each:"]
         for need in (*fitness.proposal.mended, *choices):
             lines += _wrapped(need.text, "  ")
             keys = ", ".join(need.keys) + f": {need.choice}" if need.choice else keys_text(need.keys)

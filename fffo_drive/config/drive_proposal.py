@@ -1,6 +1,6 @@
 """The drive section of an axis file that a drive's own objects, or its file, propose.
 
-What the drive does not meet is replaced by what it has, best first, until nothing stands against it that a key could
+What the drive does not meet is replaced by what it has, best first, until no requirement is left that a key could
 mend (drive.canopen.needs). A profile of the drive's family stands before what is proposed here.
 """
 
@@ -37,7 +37,7 @@ class DriveProposal(NamedTuple):
 
     section: dict[str, Any]  # keys that differ from the defaults and the profile, as an axis file has them
     sources: dict[str, str]  # key -> where it comes from, or why it stands there
-    mended: tuple[Need, ...]  # what stands against the drive without these keys
+    mended: tuple[Need, ...]  # requirements that the drive does not meet without these keys
     needs: tuple[Need, ...]  # what no key mends, or what a person must decide
     remarks: tuple[str, ...]  # about units, and axes beside the one that is used
 
@@ -53,7 +53,7 @@ def propose(
     needs_of: Callable[[CanopenDriveConfig], list[Need]],
     base: Mapping[str, Any] | None = None,
 ) -> DriveProposal:
-    """`needs_of`: what stands against the drive with a configuration. `base`: keys that its profile, or a person, sets.
+    """`needs_of`: unmet requirements of a configuration. `base`: keys that its profile, or a person, sets.
 
     A value of `base` that no section takes is left to the check of the axis file. Raises MappingError.
     """

@@ -3,10 +3,9 @@
 One thread for each kind of work, so that kinds do not block each other; never joined at the end, so that a hanging disk
 or a busy compiler does not keep the process alive.
 
-A thread that hangs in a file can neither be ended nor interrupted. A worker with a patience leaves such a thread to
-itself: who waits for it is answered with `DiskSilentError`, what it brings later is dropped, and the next work gets a
-fresh thread. It hangs when its work has used no processor time for so long: a disk that does not answer, and no
-arithmetic that takes long.
+A thread that hangs in a file can neither be ended nor interrupted. A worker with a patience abandons such a thread:
+its callers get `DiskSilentError`, its late result is dropped, and the next job gets a fresh thread. A thread hangs if
+its job has used no processor time for that long: the disk does not answer. Long arithmetic does not count.
 """
 
 from __future__ import annotations
@@ -111,7 +110,7 @@ class Worker:
         return result
 
     def _leave(self, thread: _Thread) -> None:
-        """Leave a thread that hangs to itself, and answer everybody who waits for it."""
+        """Abandon a thread that hangs, and answer all its callers."""
         self._thread = None
         self._hung.append(thread)
         self.silent = self._said = silence(thread.doing())
@@ -129,7 +128,7 @@ class Worker:
 
 
 class _Job:
-    """One piece of work and who waits for it."""
+    """One piece of work and its caller."""
 
     def __init__(
         self, work: Callable[[], Any], doing: str, at: Path | None, late: Callable[[Any], object] | None

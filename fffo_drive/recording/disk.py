@@ -26,7 +26,7 @@ def row_bytes(compression: Compression) -> float:
 class DiskUse(NamedTuple):
     """What a recorder found in its directory."""
 
-    free_bytes: int  # of the disk, for who writes
+    free_bytes: int  # available to this user
     own_bytes: int  # of the recordings that the quota counts
 
 

@@ -1,4 +1,4 @@
-"""Files of logs as bytes and as text: what is no file, or could be no table, is refused before anything parses it.
+"""Log files as bytes and as text: what is not a regular file, or cannot be a table, is refused before it is parsed.
 
 A table of 4096 columns with 60 characters each has lines of 240 kB. Without these bounds one line of 300 MB, or 200,000
 columns, kept a reader busy for minutes.
@@ -21,7 +21,7 @@ COMMENTS = (b"#", b"%")
 
 
 def regular(path: Path) -> Path:
-    """The path, of a file that ends and can be read again; a directory is refused by who opens it.
+    """The path, if it is a regular file; a directory is refused when it is opened.
 
     Raises RecordingError, OSError.
     """

@@ -1,4 +1,4 @@
-"""A drive that is in fault before anything is asked of it: named, and cleared by one reset when that was told."""
+"""A drive that is in fault at the start: the fault is named, and cleared by one reset if the user asked for that."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class SourcedFacts(NamedTuple):
 
     @property
     def unusable(self) -> bool:
-        """Whether it does not meet one that no key of the axis file does without."""
+        """Whether there is one that no key of the axis file works around."""
         return any(not need.keys for need in self.needs)
 
     @property

@@ -1,4 +1,4 @@
-"""`drive-info FILE` as a user types it: every file as it comes, all that stands against a drive, and its snippet."""
+"""`drive-info FILE` as a user types it: every file as it comes, all unmet requirements, and the snippet."""
 
 from __future__ import annotations
 

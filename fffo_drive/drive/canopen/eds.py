@@ -1,4 +1,4 @@
-"""A vendor's EDS (CiA 306): what stands against its drive, found before the drive is connected.
+"""A vendor's EDS (CiA 306): requirements that its drive does not meet, found before it is connected.
 
 The parser is that of `canopen`, after the repairs of `eds_tidy`, because vendors' files deviate from the standard.
 Repairs are reported with their lines; an unusable file gives a one-sentence error.
@@ -189,7 +189,7 @@ def left_to_the_drive(dictionary: Any, config: CanopenDriveConfig) -> list[str]:
 
 
 def eds_needs(dictionary: Any, config: CanopenDriveConfig) -> list[Need]:
-    """All that stands against the drive, as far as its file says."""
+    """Requirements that the drive does not meet, as far as its file says."""
     objects = FileObjects(dictionary)
     found = check_device_type(objects, config) if objects.value(0x1000) is not None else []
     if supported_modes(dictionary) or not objects.has(0x6502):

@@ -1,6 +1,6 @@
-"""What stands against a drive: one list, for a file (`drive-info`, `config check`) and for the drive on the bus.
+"""Requirements that a drive does not meet: one list, for a file (`drive-info`, `config check`) and for the bus.
 
-All of it is told at once, each with the keys of the drive section that do without it, if any do.
+All are reported at once, each with the keys of the drive section that work around it, if any do.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FIRST_AXIS_ONLY = "Only the first axis of a node (0x6000 to 0x67FF) can be drive
 
 
 class Need(NamedTuple):
-    """What a drive does not meet, and the keys with which an axis file does without."""
+    """A requirement that a drive does not meet, and the keys of an axis file that work around it."""
 
     text: str
     keys: Mapping[str, Any] = MappingProxyType({})  # of the drive section, that mend it; empty: none does
@@ -92,7 +92,7 @@ def has_mode(modes: int, mode: int) -> bool:
 
 
 def needs(objects: MappableObjects, config: CanopenDriveConfig) -> list[Need]:
-    """All that stands against the drive on the bus with this configuration."""
+    """Requirements of this configuration that the drive on the bus does not meet."""
     return [
         *check_device_type(objects, config),
         *check_modes(objects, config),
@@ -172,7 +172,7 @@ def check_objects(objects: MappableObjects, config: CanopenDriveConfig) -> list[
 
 
 def _without(objects: MappableObjects, config: CanopenDriveConfig, index: int, sub: int) -> dict[str, Any]:
-    """The key that does without an object; empty where none does."""
+    """The key that makes an object unnecessary; empty if there is none."""
     if (index, sub) == (MODE_DISPLAY, 0):
         return {"mode_display": "not_checked"}
     if (index, sub) == (0x1017, 0) and silence.LIFE_GUARDING in silence.available(objects, silence.DETECTIONS):
@@ -246,5 +246,5 @@ def is_event(config: CanopenDriveConfig, kind: str, pdo: PdoMap) -> bool:
 
 
 def without_event(config: CanopenDriveConfig) -> dict[str, Any]:
-    """The key that does without the statusword on change."""
+    """The key that makes the statusword on change unnecessary."""
     return {"pdo": {**config.slots._asdict(), "event": None}}
