@@ -102,25 +102,22 @@ def _for_kernels() -> None:
 
         return types.int32(types.uintp), codegen
 
-    @overload(recv)
-    def recv_compiled(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-        def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-            n = x_recv(fd, address, length, flags)
-            if n >= 0:
-                return np.int64(n)
-            return -np.int64(load_int32(x_errno_location()))
+    def declare(function: Any, external: Any) -> None:
+        """Of a system call that moves bytes: how many, or -errno."""
 
-        return implementation
+        def compiled(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+            def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
+                n = external(fd, address, length, flags)
+                if n >= 0:
+                    return np.int64(n)
+                return -np.int64(load_int32(x_errno_location()))
 
-    @overload(send)
-    def send_compiled(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-        def implementation(fd: Any, address: Any, length: Any, flags: Any) -> Any:
-            n = x_send(fd, address, length, flags)
-            if n >= 0:
-                return np.int64(n)
-            return -np.int64(load_int32(x_errno_location()))
+            return implementation
 
-        return implementation
+        overload(function)(compiled)
+
+    declare(recv, x_recv)
+    declare(send, x_send)
 
     @overload(wait_readable)
     def wait_readable_compiled(scratch: Any, fd: Any, timeout_ns: Any) -> Any:
