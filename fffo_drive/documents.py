@@ -31,7 +31,7 @@ LONGEST_SHOWN = 80  # characters of a value in a message
 DEEPEST = 32  # of mappings and lists in each other
 
 _INTEGER = re.compile(r"^[-+]?\d[\d_]*$|^[-+]?0x[\da-fA-F_]+$")
-_DOTTED = re.compile(r"[a-z_]\w*(\.[a-z_]\w*)*")  # a key in its sections
+_DOTTED = re.compile(r"[a-z_]\w*(\.\w+)*")  # a key in its sections, or the place in a list
 _COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")  # a number with a decimal comma
 _FLOAT = re.compile(r"^[-+]?\d[\d_]*(\.[\d_]*)?([eE][-+]?\d+)?$|^[-+]?\.\d[\d_]*([eE][-+]?\d+)?$|^[-+]?\.inf$|^\.nan$")
 
@@ -271,11 +271,11 @@ def refuse(path: str | Path, problems: Iterable[tuple[str, str]], lines: dict[Lo
         if lines is None:
             _, lines = parse(_texts.get(str(path)) or read_text(Path(path)), str(path))
         raise DocumentError(
-            "\n".join(f"{path}:{_line_of(lines, _location(key))}: {key}: {text}" for key, text in found)
+            "\n".join(f"{path}:{_line_of(lines, location_of(key))}: {key}: {text}" for key, text in found)
         )
 
 
-def _location(key: str) -> Location:
+def location_of(key: str) -> Location:
     """Parts of a dotted key with [index] parts."""
     parts = key.replace("]", "").replace("[", ".").split(".")
     return tuple(int(part) if part.isdigit() else part for part in parts)
@@ -294,7 +294,7 @@ def _sentence(
     message = what_is_wrong(error, record, data)
     key, said = key_of(error, data), message.partition(": ")
     if error["type"] == "value_error" and _DOTTED.fullmatch(said[0]):  # a check of several keys names the one at fault
-        inner = (*location, *_location(said[0]))
+        inner = (*location, *location_of(said[0]))
         if inner[: len(location) + 1] in lines:
             location, key, message = inner, ".".join(map(str, inner)), said[2]
     line = _line_of(lines, location)

@@ -37,7 +37,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("position_rev", "<f8", "rev", "position feedback, multi-turn"),
     Signal("current_a", "<f8", "A", "torque-forming current as the drive reports it (age: status_age)"),
     Signal("error_rps", "<f8", "rps", "expected_rps minus velocity_rps, or minus estimated_rps, as flags says"),
-    Signal("filtered_error_rps", "<f8", "rps", "the error after its filter: input of the control law"),
+    Signal("filtered_error_rps", "<f8", "rps", "the error behind notches and low-pass: input of the control law"),
     Signal("proportional_a", "<f8", "A", "proportional term of the PI controller"),
     Signal("integral_a", "<f8", "A", "integral term of the PI controller"),
     Signal("hold_a", "<f8", "A", "current that holds the position at rest"),

@@ -15,6 +15,7 @@ from ..control.adaptation import NO_ADAPTATION, AdaptationConfig
 from ..control.controller import ControllerConfig, RestConfig
 from ..control.feedforward import FeedforwardConfig
 from ..control.friction_observer import TOGGLE_NAMES, ObserverConfig
+from ..control.notch import Notch, notch_config
 from ..control.pi import PiConfig
 from ..control.position_hold import NO_HOLD, HoldConfig, held_travel_rev
 from ..control.reference import (
@@ -62,6 +63,7 @@ from .sections import (
     SineProfile,
     VelocitySection,
     length_problems,
+    notch_problem,
 )
 
 BLIND_S = 2e-3  # tolerated without velocity feedback where the file does not say: 4 ticks at 2 kHz
@@ -111,6 +113,9 @@ class AxisFile(StrictRecord):
         largest_rps = self.daemon.set_points.largest_rps
         if largest_rps is not None and largest_rps > self.envelope.speed_limit_rps:
             raise ValueError("daemon.set_points.largest_rps: it must not exceed envelope.speed_limit_rps")
+        problem = notch_problem(self.controller, self.loop)
+        if problem is not None:
+            raise ValueError(problem)
         return self
 
 
@@ -161,7 +166,13 @@ def controller_config(axis: AxisFile, model: ModelFile) -> ControllerConfig:
         rest_config(axis, model),
         velocity_config(axis, model),
         adaptation_config(section.adaptation, friction, axis.loop.period_s),
+        notch_config(notches_of(section), axis.loop.period_s),
     )
+
+
+def notches_of(section: ControllerSection) -> tuple[Notch, ...]:
+    """The notches on the error."""
+    return tuple(Notch(one.frequency_hz, one.width, one.depth) for one in section.notches)
 
 
 def adaptation_config(section: AdaptationSection, friction: FrictionConfig, period_s: float) -> AdaptationConfig:
@@ -194,8 +205,10 @@ def velocity_config(axis: AxisFile, model: ModelFile) -> VelocityEstimatorConfig
 
 
 def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
-    """The sliding axis as the loop of this file meets it: with the delay and the filter of the error."""
-    return linear_axis(model, axis.loop.period_s, velocity_config(axis, model), axis.controller.error_filter_s)
+    """The sliding axis as the loop of this file meets it: with the delay, and filter and notches of the error."""
+    section = axis.controller
+    found = linear_axis(model, axis.loop.period_s, velocity_config(axis, model), section.error_filter_s)
+    return found._replace(notches=notches_of(section))
 
 
 def default_axis(model: ModelFile, period_s: float) -> LinearAxis:

@@ -3,10 +3,11 @@
 With every part on, and a right model, the shaft follows the reference. A part that is off leaves the loop a torque to
 make by itself, and the velocity error by which it makes it is that torque over impedance and controller,
 
-    error = torque / (Z + C exp(-s Td)),    Z = J s + D,  C = (Kp Kt + (Ki Kt + L) / s) / (1 + s Tf)
+    error = torque / (Z + C exp(-s Td)),    Z = J s + D,  C = (Kp Kt + (Ki Kt + L) / s) N / (1 + s Tf)
 
-which is evaluated over the spectrum of the torque along the reference, with friction as its steady-state curve. Each
-part is taken alone, with all others on. No kernel of the law runs: a check of a file takes no time for it.
+with the notches N. It is evaluated over the spectrum of the torque along the reference, with friction as its
+steady-state curve. Each part is taken alone, with all others on. No kernel of the law runs: a check of a file takes no
+time for it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..control.feedforward import FeedforwardConfig
 from ..control.reference import MODE_VELOCITY, Profile, piecewise_linear
-from ..control.stability import LinearAxis, impedance_nm_per_rps
+from ..control.stability import LinearAxis, error_response, impedance_nm_per_rps
 from ..model.friction import FrictionConfig, least_sliding_nm, steady_friction_along
 from ..model.parameters import ModelFile
 from .axis import AxisFile, feedforward_config, loop_axis
@@ -119,9 +120,7 @@ class _Motion(NamedTuple):
     def controller(self, learned_share: float = 1.0) -> Complexes:
         """C, Nm/rps, with a share of the observer's L."""
         integral = self.integral_nm_per_rev + learned_share * self.observer_nm_per_rev
-        return np.asarray(
-            (self.proportional_nm_per_rps + integral / self.s) / (1.0 + self.axis.error_filter_s * self.s)
-        )
+        return np.asarray((self.proportional_nm_per_rps + integral / self.s) * error_response(self.axis, self.s))
 
     def response(self, transfer: Complexes, values: Floats) -> Floats:
         """What a linear system makes of values; nothing of their mean, which the integral takes."""

@@ -24,6 +24,8 @@ PROFILE_KIND = Field(description="kind of profile; it determines the other keys"
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
+MOST_NOTCHES = 2  # as many as control.notch has in a row
+HIGHEST_NOTCH_SHARE = 0.4  # of the loop's rate: nearer to half of it a sampled notch has no width
 
 
 class ObserverSection(StrictRecord):
@@ -110,6 +112,27 @@ class RestSection(StrictRecord):
     ] = 0.5
 
 
+class NotchSection(StrictRecord):
+    """A notch filter on the error, against a resonance. Feed-forward does not pass it; the margins count it."""
+
+    frequency_hz: Annotated[
+        float,
+        Field(ge=1, le=1600, description=f"frequency of the notch; at most {HIGHEST_NOTCH_SHARE:g} of loop.rate_hz"),
+    ]
+    width: Annotated[
+        float,
+        Field(
+            ge=0.05,
+            le=4,
+            description="width of the band over the frequency, twice the damping ratio of the poles: wider covers a "
+            "resonance that is known less well, and takes more phase below it",
+        ),
+    ] = 1.0
+    depth: Annotated[
+        float, Field(ge=0, le=0.95, description="gain at the frequency; 0: nothing passes, near 1: no notch")
+    ] = 0.1
+
+
 class VelocitySection(StrictRecord):
     """The velocity from which the error is computed."""
 
@@ -193,6 +216,12 @@ class ControllerSection(StrictRecord):
     accept_unproven: Annotated[
         bool, Field(description="run although (14) or a margin is violated; row and file record this")
     ] = False
+    notches: Annotated[
+        list[NotchSection],
+        Field(
+            max_length=MOST_NOTCHES, description="notch filters on the error; `tune` chooses them for an elastic axis"
+        ),
+    ] = Field(default_factory=list)
     velocity: Annotated[VelocitySection, Field(description="velocity feedback of the error")] = VelocitySection()
     adaptation: Annotated[AdaptationSection, Field(description="adaptation to slow change")] = AdaptationSection()
 
@@ -209,7 +238,7 @@ class ControllerSection(StrictRecord):
     @property
     def papers(self) -> ControllerSection:
         """The law of the paper with the gains of this section: PI with friction observer, and nothing beyond it."""
-        beyond = {"velocity": {"source": "drive"}, "adaptation": {"enabled": False}}
+        beyond = {"velocity": {"source": "drive"}, "adaptation": {"enabled": False}, "notches": []}
         return self.changed(PAPER_LAW | beyond | {"at_rest": PAPER_LAW["at_rest"] | {"hold_a_per_rev_s": 0.0}})
 
 
@@ -311,6 +340,18 @@ class LoopSection(StrictRecord):
     def period_s(self) -> float:
         """Length of a tick."""
         return 1.0 / self.rate_hz
+
+
+def notch_problem(controller: ControllerSection, loop: LoopSection) -> str | None:
+    """A notch that the loop is too slow for, with its key first; None if there is none."""
+    highest_hz = HIGHEST_NOTCH_SHARE * loop.rate_hz
+    for place, notch in enumerate(controller.notches):
+        if notch.frequency_hz > highest_hz:
+            return (
+                f"controller.notches.{place}.frequency_hz: {notch.frequency_hz:g} Hz; at most {highest_hz:g} Hz is "
+                f"possible, {HIGHEST_NOTCH_SHARE:g} of loop.rate_hz"
+            )
+    return None
 
 
 class RealtimeSection(StrictRecord):

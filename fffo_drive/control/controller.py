@@ -1,6 +1,7 @@
 """PI with friction observer as one step: terms out, memory in and out, a toggle that switches without a bump.
 
-i = Kp e + Ki int(e) + H + (F + E) / Kt,    H: at rest, the position hold (control/position_hold)
+i = Kp e + Ki int(e) + H + (F + E) / Kt,    e: the error behind notches (control/notch) and a low-pass
+                                            H: at rest, the position hold (control/position_hold)
                                             F from the observer: off, on the reference (FF) or on the measured
                                             velocity (FB)
                                             E from the effects of the model (control/compensation), and what was
@@ -27,6 +28,7 @@ from .friction_observer import (
     observer_step,
     observer_velocity_rps,
 )
+from .notch import NO_NOTCHES, NotchConfig, NotchState, notch_step, notches_at_rest, notches_settled
 from .pi import PiConfig, pi_step
 from .position_hold import NO_HOLD, HoldConfig, HoldState, hold_step, nothing_held, within_bound
 from .velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
@@ -57,6 +59,7 @@ class ControllerConfig(NamedTuple):
     rest: RestConfig = AS_IN_MOTION
     velocity: VelocityEstimatorConfig = DRIVE_VELOCITY
     adaptation: AdaptationConfig = NO_ADAPTATION
+    notches: NotchConfig = NO_NOTCHES
 
 
 class ControllerState(NamedTuple):
@@ -69,6 +72,7 @@ class ControllerState(NamedTuple):
     limited: bool  # the envelope or the limit cut the last command
     rest: float  # 0 in motion, towards 1 at rest: how far the gains have gone to those at rest
     hold: HoldState  # of the position, at rest
+    notches: NotchState  # on the error
 
 
 class ControllerTerms(NamedTuple):
@@ -90,14 +94,23 @@ class ControllerTerms(NamedTuple):
 @njit
 def controller_at_rest() -> ControllerState:
     """Memory before the first step, and whenever the drive has no torque."""
-    return ControllerState(0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_NONE, False, 0.0, nothing_held())
+    return ControllerState(
+        0.0, 0.0, FrictionState(0.0, 0.0, 0.0, 0.0), TOGGLE_NONE, False, 0.0, nothing_held(), notches_at_rest()
+    )
 
 
 @njit
 def _with_integral(state: ControllerState, integral_a: float) -> ControllerState:
     """The same memory with another integral."""
     return ControllerState(
-        integral_a, state.filtered_error_rps, state.friction, state.toggle, state.limited, state.rest, state.hold
+        integral_a,
+        state.filtered_error_rps,
+        state.friction,
+        state.toggle,
+        state.limited,
+        state.rest,
+        state.hold,
+        state.notches,
     )
 
 
@@ -118,7 +131,7 @@ def _hand_over(
         friction = observer_start(config.observer, driven_rps)
         integral_a = integral_a - friction.torque_nm / config.torque_constant_nm_per_a
     return ControllerState(
-        integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold
+        integral_a, state.filtered_error_rps, friction, toggle, state.limited, state.rest, state.hold, state.notches
     )
 
 
@@ -159,7 +172,10 @@ def controller_step(
     if toggle != state.toggle:
         state = _hand_over(config, state, toggle, reference, velocity_rps)
     error_rps = reference.expected - followed_rps
-    driving_rps = filtered_error_rps(config, state.filtered_error_rps, error_rps)
+    passed_rps, notches = error_rps, state.notches
+    if config.notches.used:
+        passed_rps, notches = notch_step(config.notches, notches, error_rps)
+    driving_rps = filtered_error_rps(config, state.filtered_error_rps, passed_rps)
 
     at_rest = stands_still(reference)
     rest = state.rest + config.rest.fade_share * (1.0 - state.rest) if at_rest else 0.0
@@ -215,7 +231,7 @@ def controller_step(
         command_a,
         limited,
     )
-    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest, hold)
+    return terms, ControllerState(integral_a, driving_rps, friction, toggle, limited, rest, hold, notches)
 
 
 @njit
@@ -223,19 +239,42 @@ def with_limited(state: ControllerState, limited: bool) -> ControllerState:
     """The same memory, noting whether the envelope limited the command as well."""
     either = state.limited or limited
     return ControllerState(
-        state.integral_a, state.filtered_error_rps, state.friction, state.toggle, either, state.rest, state.hold
+        state.integral_a,
+        state.filtered_error_rps,
+        state.friction,
+        state.toggle,
+        either,
+        state.rest,
+        state.hold,
+        state.notches,
     )
 
 
 @njit
 def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: ControllerState) -> ControllerState:
-    """Bumpless change of gains: the integrator takes over what the proportional term and the bounded estimate lose."""
+    """Bumpless change of gains: the integrator takes over what the proportional term and the bounded estimate lose.
+
+    Other notches begin as after a constant error: they pass what drove the law in the last tick.
+    """
     before_a_per_rps = _gain_share(before.rest, state.rest) * before.pi.proportional_a_per_rps
     after_a_per_rps = _gain_share(after.rest, state.rest) * after.pi.proportional_a_per_rps
     change_a = (before_a_per_rps - after_a_per_rps) * state.filtered_error_rps
     bound_nm = after.observer.clamp_nm
     cut_off_nm = state.friction.torque_nm - min(max(state.friction.torque_nm, -bound_nm), bound_nm)
-    return _with_integral(state, state.integral_a + change_a + cut_off_nm / after.torque_constant_nm_per_a)
+    notches = state.notches
+    if after.notches != before.notches:
+        notches = notches_settled(after.notches, state.filtered_error_rps)
+    integral_a = state.integral_a + change_a + cut_off_nm / after.torque_constant_nm_per_a
+    return ControllerState(
+        integral_a,
+        state.filtered_error_rps,
+        state.friction,
+        state.toggle,
+        state.limited,
+        state.rest,
+        state.hold,
+        notches,
+    )
 
 
 @njit

@@ -8,6 +8,7 @@ open loop in torque units is
 with k = 0 in sliding. At rest the contact sticks: k is its stiffness, and what it takes away by hysteresis is left out,
 which is the safe side. Above the resonance the delay turns the damping of Kp into its opposite: an axis whose margin
 there is negative shakes at rest, whatever its margins in motion are. A part of the inertia may hang on a spring.
+Low-pass and notches of the error multiply the controller; the position hold at rest does not pass them.
 
 With an estimated velocity the delay is shorter by the lag of the drive's own. But the estimate also knows the command,
 beside the axis: with a plant P, and the estimate H p + U i of position and command, the loop is cut at the velocity,
@@ -31,6 +32,7 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..model.friction import FrictionConfig, steady_friction_nm
 from ..model.parameters import ModelFile
+from .notch import Notch, notch_response
 from .position_hold import held_travel_rev
 from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
 
@@ -66,6 +68,8 @@ class LinearAxis(NamedTuple):
     elastic: ElasticLoad = RIGID
     estimator: VelocityEstimatorConfig | None = None  # of the velocity in the error; None: the drive's own
     error_filter_s: float = 0.0  # time constant of the error's low-pass
+    notches: tuple[Notch, ...] = ()  # on the error
+    period_s: float = 0.0  # of the loop, in which the notches are sampled
 
 
 class Margins(NamedTuple):
@@ -96,6 +100,11 @@ def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
     return impedance
 
 
+def error_response(axis: LinearAxis, s: Complexes) -> Complexes:
+    """Low-pass and notches of the error; s = j omega and the result (n,)."""
+    return notch_response(axis.notches, s, axis.period_s) / (1.0 + axis.error_filter_s * s)
+
+
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
     hold_a_per_rev_s: float = 0.0,
@@ -108,7 +117,7 @@ def loop_margins(
     s = 1j * omega
     kt = axis.torque_constant_nm_per_a
     controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    controller = controller / (1.0 + axis.error_filter_s * s)
+    controller = controller * error_response(axis, s)
     impedance = impedance_nm_per_rps(axis, s)
     hold = hold_a_per_rev_s * kt / (s * s)
     if axis.estimator is None:
@@ -194,6 +203,7 @@ def linear_axis(
         elastic=found if found.share > 0.0 else RIGID,
         estimator=estimator,
         error_filter_s=error_filter_s,
+        period_s=period_s,
     )
 
 
@@ -241,7 +251,7 @@ def _slides(axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, floa
     follows = 1.0 + s * level_nm / (friction.attraction_nm_per_rev * speed_rps)
     plant = s * impedance_nm_per_rps(axis, s)
     controller = s * proportional_a_per_rps * kt + integral_a_per_rev * kt + observer_nm_per_rev
-    controller = controller / (1.0 + axis.error_filter_s * s)
+    controller = controller * error_response(axis, s)
     loop = follows * (plant + controller * np.exp(-s * axis.delay_s)) + s * slope
     passive = follows * (plant + controller) + s * abs(slope)
     turned, most = (float(np.subtract(*np.unwrap(np.angle(values))[[-1, 0]])) for values in (loop, passive))

@@ -293,7 +293,7 @@ class Api:
         """One gain or switch, until the next reload."""
         supervisor = self.supervisor
         async with self._changing:
-            change = settings.change_of(wanted.key)
+            change = settings.change_of(supervisor.plan.axis, wanted.key)
             require_change(supervisor.state, change)
             args = (supervisor.plan, supervisor.toggle, wanted.key, wanted.value)
             plan = await self.work.run(settings.with_value, *args)

@@ -6,8 +6,8 @@ import difflib
 from typing import Any, NamedTuple
 
 from ..config.axis import TOGGLES, AxisFile
-from ..config.sections import ControllerSection
-from ..documents import DocumentError, check
+from ..config.sections import MOST_NOTCHES, ControllerSection, NotchSection, notch_problem
+from ..documents import DocumentError, check, location_of
 from ..model.parameters import ModelFile, content_hash
 from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems
 from .states import Change
@@ -26,7 +26,9 @@ LAW_KEYS = (
     "controller.feedforward.delay_aware",
     "controller.adaptation.enabled",
 )
-LIVE_KEYS = (*GAIN_KEYS, *LAW_KEYS)
+NOTCH_KEYS = tuple(
+    f"controller.notches.{place}.{key}" for place in range(MOST_NOTCHES) for key in NotchSection.model_fields
+)
 
 # of the axis file, fixed in a running loop; a change needs a restart of the service
 FIXED = ("name", "drive", "envelope", "loop", "realtime", "commissioning")
@@ -34,34 +36,42 @@ FIXED_DAEMON = ("control_group", "clients", "supervisor_timeout_s", "scope", "fo
 APPLIED = ("controller", "recording", "profile", "daemon")
 
 
-def change_of(key: str) -> Change:
+def live_keys(axis: AxisFile) -> tuple[str, ...]:
+    """The keys that `set` has for this axis: of notches, those of the ones that it has."""
+    there = len(axis.controller.notches) * len(NotchSection.model_fields)
+    return (*GAIN_KEYS, *NOTCH_KEYS[:there], *LAW_KEYS)
+
+
+def change_of(axis: AxisFile, key: str) -> Change:
     """Which kind of change a key is. Raises DocumentError for a key that `set` does not have."""
-    if key in GAIN_KEYS:
-        return Change.GAINS
-    if key in LAW_KEYS:
-        return Change.LAW
-    close = difflib.get_close_matches(key, LIVE_KEYS, 1, cutoff=0.5)
-    hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(LIVE_KEYS)}"
+    known = live_keys(axis)
+    if key in known:
+        return Change.LAW if key in LAW_KEYS else Change.GAINS
+    close = difflib.get_close_matches(key, known, 1, cutoff=0.5)
+    hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
     raise DocumentError(f"{key}: no key that may be set while the daemon runs; {hint} (others: edit the file, reload)")
 
 
 def value_of(axis: AxisFile, key: str) -> Any:
     """The value of a dotted key."""
     value: Any = axis
-    for part in key.split("."):
-        value = getattr(value, part)
+    for part in location_of(key):
+        value = value[part] if isinstance(part, int) else getattr(value, part)
     return value
 
 
 def with_value(plan: Plan, toggle: int, key: str, value: float | bool) -> Plan:
     """The plan with one key changed. Raises DocumentError if the value, or the resulting law, is refused."""
     content = plan.axis.controller.model_dump()
-    *sections, last = key.split(".")[1:]
-    inner = content
+    _, *sections, last = location_of(key)
+    inner: Any = content
     for section in sections:
         inner = inner[section]
     inner[last] = value
     controller = check(content, ControllerSection, "set")
+    problem = notch_problem(controller, plan.axis.loop)
+    if problem is not None:
+        raise DocumentError(problem)
     axis = plan.axis.model_copy(update={"controller": controller})
     _require_proof(axis, plan.model, toggle)
     return plan._replace(axis=axis)

@@ -14,7 +14,7 @@ from ..workflows.plan import toggle_name
 from .parameters import agreed_protocol
 from .profiles import profile_names
 from .set_points import latency_s
-from .settings import LIVE_KEYS, value_of
+from .settings import live_keys, value_of
 from .states import State
 from .supervisor import Supervisor
 
@@ -147,6 +147,6 @@ def info_of(supervisor: Supervisor, version: str, spoken: int | list[int] | None
         "drive": identity,
         "realtime": realtime,
         "profiles": list(profile_names(plan)),
-        "keys": {key: value_of(plan.axis, key) for key in LIVE_KEYS},
+        "keys": {key: value_of(plan.axis, key) for key in live_keys(plan.axis)},
         "states": [state.value for state in State],
     }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..control.stability import LinearAxis, Margins, impedance_nm_per_rps, loop_margins
+from ..control.stability import LinearAxis, Margins, error_response, impedance_nm_per_rps, loop_margins
 from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
@@ -190,6 +190,7 @@ def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Fl
     omega = 2.0 * np.pi * hz
     s, kt = 1j * omega, axis.torque_constant_nm_per_a
     controller = gains.proportional_a_per_rps * kt + (gains.integral_a_per_rev * kt + observer_nm_per_rev) / s
+    controller = controller * error_response(axis, s)
     plant = np.exp(-s * axis.delay_s) / impedance_nm_per_rps(axis, s)
     if axis.estimator is not None:
         known = estimator_response(axis.estimator, omega)

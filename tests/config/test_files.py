@@ -18,14 +18,23 @@ from fffo_drive.config.axis import (
     build_profile,
     controller_config,
     envelope_config,
+    loop_axis,
     loop_config,
     model_of,
     read_axis,
 )
-from fffo_drive.config.checks import bus_problems, law_problems, profile_problems, shared_buses
+from fffo_drive.config.checks import (
+    bus_problems,
+    law_margins,
+    law_problems,
+    profile_problems,
+    rest_margins,
+    shared_buses,
+)
 from fffo_drive.config.mirror import dataclass_of, record_of
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control import envelope as env
+from fffo_drive.control.notch import Notch, notch_config
 from fffo_drive.documents import DocumentError, parse
 from fffo_drive.drive.simulated.node.config import NodeConfig
 from fffo_drive.model.parameters import read_model, write_model
@@ -111,6 +120,33 @@ def test_the_drive_is_checked_by_its_kind(tmp_path):
 def test_limits_contradicting_each_other_are_reported(tmp_path):
     text = errors_of(write(tmp_path, AXIS.replace("continuous_current_a: 8.3", "continuous_current_a: 20")))
     assert "continuous_current_a must not exceed current_limit_a" in text
+
+
+@pytest.mark.parametrize(
+    ("notches", "line", "said"),
+    [
+        ("[{frequency_hz: 110}, {frequency_hz: 801}]", 6, "notches.1.frequency_hz: 801 Hz; at most 800 Hz is possible"),
+        ("[{frequency_hz: 110, widht: 1}]", 6, "notches.0.widht: unknown key; did you mean 'width'?"),
+        ("[{width: 1}]", 6, "notches.0.frequency_hz: missing"),
+        ("[{frequency_hz: 40}, {frequency_hz: 50}, {frequency_hz: 60}]", 6, "notches: at most 2 entries are allowed"),
+    ],
+)
+def test_errors_of_notches_have_their_line(tmp_path, notches, line, said):
+    text = errors_of(write(tmp_path, AXIS.replace("controller:\n", f"controller:\n  notches: {notches}\n")))
+    assert f":{line + AXIS[: AXIS.index('controller:')].count(chr(10)) - 4}: controller.{said}" in text
+
+
+def test_a_notch_reaches_the_kernel_and_the_margins_and_not_the_papers_law(tmp_path):
+    text = AXIS.replace("controller:\n", "controller:\n  notches: [{frequency_hz: 110, width: 0.8, depth: 0.2}]\n")
+    axis = read_axis(write(tmp_path, text))
+    model = model_of(tmp_path / "axis.yaml", axis)
+    notch = Notch(110.0, 0.8, 0.2)
+    assert controller_config(axis, model).notches == notch_config((notch,), axis.loop.period_s)
+    assert loop_axis(axis, model).notches == (notch,)
+    plain = read_axis(write(tmp_path, AXIS))
+    assert law_margins(axis, model, True).phase_deg < law_margins(plain, model, True).phase_deg - 3.0
+    assert rest_margins(axis, model) != rest_margins(plain, model)
+    assert axis.controller.papers.notches == []
 
 
 def test_an_unknown_trip_in_the_reactions_names_the_known_ones(tmp_path):

@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fffo_drive.config.axis import controller_config
 from fffo_drive.daemon import parameters as p
 from fffo_drive.daemon import settings
 from fffo_drive.daemon.parameters import METHODS, PROTOCOLS, agreed_protocol
 from fffo_drive.daemon.rpc import INVALID_PARAMS, RpcError
 from fffo_drive.daemon.server import _checked
+from fffo_drive.daemon.states import Change
 from fffo_drive.documents import DocumentError
 from fffo_drive.workflows.plan import make_plan
 
@@ -58,20 +60,42 @@ def test_whole_numbers_are_numbers_and_lists_are_points():
     assert points.profile.points == [(0.0, 0.0), (1.0, 2.0)]
 
 
+def plan_with_a_notch(tmp_path):
+    from bad_input.cases import AXIS, DRIVE, FILES, MODEL
+
+    for name in (AXIS, DRIVE, MODEL):
+        text = (FILES / name).read_text()
+        (tmp_path / name).write_text(
+            text.replace("controller:\n", "controller:\n  notches: [{frequency_hz: 180, width: 0.3}]\n")
+        )
+    return make_plan(tmp_path / AXIS)
+
+
+def test_a_notch_is_set_live_and_one_that_is_not_there_is_not(tmp_path):
+    plan = plan_with_a_notch(tmp_path)
+    key = "controller.notches.0.frequency_hz"
+    assert key in settings.live_keys(plan.axis)
+    assert settings.change_of(plan.axis, key) is Change.GAINS
+    assert settings.value_of(plan.axis, key) == 180.0
+    changed = settings.with_value(plan, plan.toggle, key, 170.0)
+    assert settings.value_of(changed.axis, key) == 170.0
+    assert controller_config(changed.axis, changed.model).notches != controller_config(plan.axis, plan.model).notches
+    with pytest.raises(DocumentError, match=r"notches\.1\.depth: no key that may be set"):
+        settings.change_of(plan.axis, "controller.notches.1.depth")
+
+
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
         ("controller.proportional_a_per_rps", True, "proportional_a_per_rps: a number above 0 and up to 10000"),
         ("controller.observer.clamp_ratio", False, "observer.clamp_ratio: a number from 1 to 10 is needed (got false)"),
         ("controller.feedforward.inertia", 1.0, "feedforward.inertia: true or false is needed (got 1.0)"),
+        ("controller.notches.0.depth", 1.0, "notches.0.depth: a number from 0 to 0.95 is needed (got 1.0)"),
+        ("controller.notches.0.frequency_hz", 900.0, "notches.0.frequency_hz: 900 Hz; at most 800 Hz is possible"),
     ],
 )
-def test_set_takes_no_switch_for_a_number_and_no_number_for_a_switch(tmp_path, key, value, said):
-    from bad_input.cases import AXIS, DRIVE, FILES, MODEL
-
-    for name in (AXIS, DRIVE, MODEL):
-        (tmp_path / name).write_text((FILES / name).read_text())
-    plan = make_plan(tmp_path / AXIS)
+def test_set_takes_no_switch_for_a_number_and_no_value_out_of_range(tmp_path, key, value, said):
+    plan = plan_with_a_notch(tmp_path)
     with pytest.raises(DocumentError) as caught:
         settings.with_value(plan, plan.toggle, key, value)
     assert said in str(caught.value)

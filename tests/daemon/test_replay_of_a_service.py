@@ -20,6 +20,7 @@ from fffo_drive.workflows.replay import replay_files, with_continuations
 pytestmark = [pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(300)]
 
 KEY = "controller.proportional_a_per_rps"
+WIDTH = "controller.notches.0.width"
 SINE = {"kind": "sine", "duration_s": 20, "amplitude": 1, "frequency_hz": 0.5}
 DELETED = "deleted to stay below recording.quota_bytes, 1 MB: "
 SHORT = {"kind": "sine", "duration_s": 0.4, "amplitude": 1, "frequency_hz": 5}
@@ -43,6 +44,7 @@ def model_with(rig, *effects, **changes):
 def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
     with Rig(tmp_path) as rig:
         edit(rig.path, lambda axis: axis["recording"].update(rotate_s=1.0))
+        edit(rig.path, lambda axis: axis["controller"].update(notches=[{"frequency_hz": 150.0, "width": 0.3}]))
         client = rig.client()
         rig.until("ready", client)
         client.call("reload")
@@ -58,11 +60,12 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
             lambda: client.call("toggle", to="fb"),
             lambda: client.call("set", key="controller.integral_a_per_rev", value=9.0),
             lambda: client.call("toggle", to="off"),
+            lambda: client.call("set", key=WIDTH, value=0.4),
             lambda: client.call("toggle", to="ff"),
         ):
             seen(rig, client)
             change()
-        edit(rig.path, lambda axis: axis["controller"].update(proportional_a_per_rps=0.95))
+        edit(rig.path, lambda axis: axis["controller"].update(proportional_a_per_rps=0.95, notches=[]))
         client.call("reload")  # in motion
         seen(rig, client)
         client.call("stop")
@@ -118,6 +121,11 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
     change = next(n for n in numbers if records[n].data.get("values") == {"key": KEY, "value": 0.9})
     after = next(n for n in numbers if n > change and records[n].kind == RecordKind.PARAMETERS)
     assert records[after].by_name["pi.proportional_a_per_rps"] == 0.9
+    notched = [
+        record.by_name["notches.used"] for _, record in sorted(records.items()) if record.kind == RecordKind.PARAMETERS
+    ]
+    assert notched[0] == 1.0
+    assert notched[-1] == 0.0
 
 
 def test_a_quota_deletes_the_service_s_own_oldest_files_tells_it_and_stops_nothing(tmp_path):

@@ -106,6 +106,22 @@ def test_a_run_on_the_estimated_velocity_is_reproduced_bit_for_bit(axis_file, tm
 
 
 @pytest.mark.slow
+def test_a_run_with_notches_is_reproduced_bit_for_bit(axis_file, tmp_path, capsys):
+    notched = axis_file.with_name("notched.yaml")
+    notches = "[{frequency_hz: 110, width: 0.3}, {frequency_hz: 240, width: 0.5, depth: 0}]"
+    notched.write_text(axis_file.read_text().replace("controller:\n", f"controller:\n  notches: {notches}\n"))
+    run = tmp_path / "run.mcap"
+    assert main(["run", str(notched), "--out", str(run), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(run), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["exact"]
+    rows = read_run(run).rows
+    acts = rows["mode"] == MODE_VELOCITY
+    behind, before = (np.std(np.diff(rows[name][acts])) for name in ("filtered_error_rps", "error_rps"))
+    assert behind < 0.9 * before
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("toggle", [TOGGLE_OFF, TOGGLE_FEEDFORWARD, TOGGLE_FEEDBACK])
 def test_a_run_with_a_hold_of_the_position_is_reproduced_bit_for_bit(toggle):
     """Stop and go under a load: the hold begins, works at its bound on the integral too, ends with the next motion."""

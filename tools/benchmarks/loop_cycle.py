@@ -25,7 +25,7 @@ from in_c import Declarations, compile_c, compiler_version, packed
 from numba import typeof
 
 from fffo_drive.can import frame
-from fffo_drive.config.sections import AdaptationSection, RestSection, VelocitySection
+from fffo_drive.config.sections import AdaptationSection, NotchSection, RestSection, VelocitySection
 from fffo_drive.control import adaptation, envelope, friction_observer, position_hold, reference, velocity_estimator
 from fffo_drive.control.adaptation import AdaptationState, Adapted
 from fffo_drive.control.controller import CONTROLLER_BLOCK_SIZE, CONTROLLER_NAMES, ControllerConfig, ControllerState
@@ -189,6 +189,13 @@ def with_hold(plan: Plan) -> Plan:
     return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}), profile=profile)
 
 
+def with_notches(plan: Plan) -> Plan:
+    """The same plan with two notches."""
+    notches = [NotchSection(frequency_hz=110.0), NotchSection(frequency_hz=240.0, width=0.5, depth=0.0)]
+    controller = plan.axis.controller.model_copy(update={"notches": notches})
+    return plan._replace(axis=plan.axis.model_copy(update={"controller": controller}))
+
+
 def zeros(kind: type) -> Any:
     """A NamedTuple of numbers and of such NamedTuples, all zero."""
     types = get_type_hints(kind).values()
@@ -218,13 +225,14 @@ def run() -> int:
     )
     plan = make_plan(AXIS)
     loop, estimating, adapting = Cycles(plan), Cycles(with_estimate(plan)), Cycles(with_adaptation(plan))
-    holding = Cycles(with_hold(plan))
+    holding, notched = Cycles(with_hold(plan)), Cycles(with_notches(plan))
     buses = {
         "socket pair": (loop, socket_pair),
         "loopback bus": (loop, loopback_bus),
         "socket pair, estimated velocity": (estimating, socket_pair),
         "socket pair, adaptation": (adapting, socket_pair),
         "socket pair, hold": (holding, socket_pair),
+        "socket pair, two notches": (notched, socket_pair),
     }
     for text, (one_loop, bus) in buses.items():
         one, other = one_loop.run("numba", bus, cycles).rows, one_loop.run("C", bus, cycles).rows
@@ -232,6 +240,9 @@ def run() -> int:
         differing = differing_fields(one, other)
         report.facts[f"{text}: ticks that learn"] = int((one["flags"] & tick.FLAG_ADAPTS != 0).sum())
         report.facts[f"{text}: ticks that hold"] = int((one["hold_a"] != 0.0).sum())
+        report.facts[f"{text}: ticks with an error behind notches"] = int(
+            (np.abs(one["filtered_error_rps"] - one["error_rps"]) > 0.0).sum()
+        )
         report.facts[f"{text}: differing fields"] = differing
         report.facts[f"{text}: largest command"] = float(np.abs(one["current_command_a"]).max())
         if differing:

@@ -167,6 +167,21 @@ static void hold_step(const struct hold_config *c, struct hold_state *state, dou
         *integral_a += copysign(smaller(fabs(beyond_a), fabs(*integral_a)), beyond_a);
 }
 
+/* ---- notches on the error ---- */
+
+static double section_step(const struct section_config *c, struct section_state *state, double value)
+{
+    double passed = c->direct * value + state->first;
+    state->first = c->middle * (value - passed) + state->second;
+    state->second = c->last * value - c->back * passed;
+    return passed;
+}
+
+static double notch_step(const struct notch_config *c, struct notch_state *state, double value)
+{
+    return section_step(&c->second, &state->second, section_step(&c->first, &state->first, value));
+}
+
 /* ---- the law ---- */
 
 static void controller_step(const struct controller_config *c, struct controller_state *state, int64_t toggle,
@@ -176,9 +191,9 @@ static void controller_step(const struct controller_config *c, struct controller
     if (toggle != state->toggle)
         hand_over(c, state, toggle, reference, velocity_rps);
     double error_rps = reference->expected - followed_rps;
-    double driving_rps = error_rps;
+    double driving_rps = c->notches.used ? notch_step(&c->notches, &state->notches, error_rps) : error_rps;
     if (c->error_share < 1.0)
-        driving_rps = state->filtered_error_rps + c->error_share * (error_rps - state->filtered_error_rps);
+        driving_rps = state->filtered_error_rps + c->error_share * (driving_rps - state->filtered_error_rps);
     state->filtered_error_rps = driving_rps;
     bool at_rest = reference->value == 0.0 && reference->ahead == 0.0;
     state->rest = at_rest ? state->rest + c->rest.fade_share * (1.0 - state->rest) : 0.0;
