@@ -179,7 +179,7 @@ def cells(what: str, state: str, rate: int, seen: Attack) -> list[str]:
     return [what, state, str(rate), *ticks, seen.fault, *shaft]
 
 
-def foreign_frames(count: int) -> Section:
+def foreign_frames(count: int, _: int) -> Section:
     """Each frame in each state of the axis at each rate, once; at one rate alone where few races are asked for."""
     found = attacks_at(RATES_HZ if count >= MANY else SAMPLE_RATES_HZ)
     late = sum(not 0 < seen.named_ticks <= NAMED_TICKS for *_, seen in found)

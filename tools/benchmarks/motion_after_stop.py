@@ -10,7 +10,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -165,7 +169,7 @@ class World:
         return Tally(attack, done, refused, moved, beyond_s, wrong)
 
 
-def of_streams(world: World, clients: Clients, several: int, named: bool, count: int) -> Tally:
+def of_streams(world: World, clients: Clients, count: int, several: int, named: bool) -> Tally:
     """Set points at 50 Hz go on through stops; with an epoch the clients take the new one when a race begins."""
     with clients.born(f"stream {several}") as stream:
         stream.until_sent(several)
@@ -186,8 +190,8 @@ def of_streams(world: World, clients: Clients, several: int, named: bool, count:
         return world.run(f"set points at 50 Hz, {several} client{'s' * (several > 1)}, {which}", count, race)
 
 
-def of_frozen(world: World, clients: Clients, method: str, text: str, count: int) -> Tally:
-    """A client freezes, in every second race somebody stops the axis, and the client goes on."""
+def of_frozen(world: World, clients: Clients, count: int, method: str, text: str, share: int = 1) -> Tally:
+    """A client freezes, in every second race somebody stops the axis, and the client goes on; one race of `share`."""
 
     def race(number: int) -> tuple[int, bool, float]:
         with clients.born(method) as client:
@@ -205,7 +209,7 @@ def of_frozen(world: World, clients: Clients, method: str, text: str, count: int
             client.until_sent(2)
             return client.shared[REFUSED], moved, beyond_s
 
-    return world.run(text, count, race)
+    return world.run(text, max(1, count // share), race)
 
 
 def of_killed(world: World, clients: Clients, count: int) -> Tally:
@@ -219,15 +223,36 @@ def of_killed(world: World, clients: Clients, count: int) -> Tally:
     return world.run("velocity on a lease, its client killed", count, race)
 
 
-def of_starts(world: World, count: int) -> Tally:
+def of_starts(world: World, _: Clients, count: int) -> Tally:
     """A start and a stop a moment later, on every way on which somebody can ask for them."""
     table, wrong = races(world.daemon, count, world.shaft)
     done, refused, moved = (sum(row[place] for row in table) for place in (2, 3, 4))
     return Tally("start against stop", done, refused, moved, 0.0, wrong)
 
 
-def motion_after_stop(count: int) -> Section:
-    """So many races of each kind."""
+class Raced(NamedTuple):
+    """One kind of race on a world of its own."""
+
+    tally: Tally
+    faults: dict[str, int]  # by load: names and how often
+    stop_s: float  # bounds of that world, for the notes
+    lease_s: float
+    silence_s: float
+
+
+Race = Callable[[World, Clients, int], Tally]
+KINDS: tuple[Race, ...] = (  # the longest first
+    partial(of_frozen, method="jog", text="jog, its client frozen and continued"),
+    partial(of_frozen, method="velocity", text="velocity on a lease, frozen and continued"),
+    of_killed,
+    *(partial(of_streams, several=several, named=named) for several in (1, MANY) for named in (False, True)),
+    of_starts,
+    partial(of_frozen, method="hold", text="`enable --hold`, its client frozen and continued", share=HOLDERS_SHARE),
+)
+
+
+def raced(race: Race, count: int) -> Raced:
+    """So many races of a kind, on a service and a bus of their own."""
     bus, plan = f"loopback:{free_loopback_port()}", make_plan(AXIS)
     with contextlib.ExitStack() as held:
         directory = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="fffo_drive_benchmark_")))
@@ -238,15 +263,18 @@ def motion_after_stop(count: int) -> Section:
         until(client, "ready")
         shaft = held.enter_context(contextlib.closing(ShaftOnBus(bus, plan)))
         world = World(daemon, client, shaft, plan)
-        found = [of_starts(world, count)]
         clients = held.enter_context(Clients(daemon, directory / "clients"))
-        found += [of_streams(world, clients, several, named, count) for several in (1, MANY) for named in (False, True)]
-        found.append(of_frozen(world, clients, "jog", "jog, its client frozen and continued", count))
-        found.append(of_frozen(world, clients, "velocity", "velocity on a lease, frozen and continued", count))
-        found.append(of_killed(world, clients, count))
-        holders = max(1, count // HOLDERS_SHARE)
-        found.append(of_frozen(world, clients, "hold", "`enable --hold`, its client frozen and continued", holders))
-        faults = faults_of(daemon)
+        tally = race(world, clients, count)
+        print(f"{tally.attack}: {tally.races} races, {tally.moved} moved", file=sys.stderr)
+        return Raced(tally, faults_of(daemon), world.stop_s, world.lease_s, world.silence_s)
+
+
+def motion_after_stop(count: int, side_by_side: int) -> Section:
+    """So many races of each kind, so many kinds at a time."""
+    with ProcessPoolExecutor(side_by_side, get_context("spawn")) as pool:
+        done = list(pool.map(raced, KINDS, [count] * len(KINDS)))
+    found, world = [one.tally for one in done], done[0]
+    faults = sum((Counter(one.faults) for one in done), Counter[str]())
     notes = [
         f"Each stop by `stop`, `stop` with `wait_s: 0`, `disable` and `quick_stop` in turn, the last two with an "
         f"`enable` behind them, a random 0 to {1e3 * LONGEST_DELAY_S:g} ms after the axis turns. Moved: the position "
@@ -256,7 +284,7 @@ def motion_after_stop(count: int) -> Section:
         f"Beyond the lease: from the freezing or the end of the client to the last motion of the shaft, less the lease "
         f"({world.lease_s:g} s; {world.silence_s:g} s of silence for `--hold`) and the longest braking ramp. A "
         "client that is continued first renews, then insists with new requests, of its epoch and of none.",
-        f"Faults by load: {faults or 'none'}.",
+        f"Faults by load: {dict(faults) or 'none'}.",
         *(text for tally in found for text in tally.wrong),
     ]
     moved, beyond_s = sum(tally.moved for tally in found), max(tally.beyond_s for tally in found)
