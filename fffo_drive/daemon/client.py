@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import time
@@ -85,7 +86,7 @@ class DaemonClient:
         try:
             self._socket.sendall(line + b"\n")
         except OSError as error:
-            raise ClientError(f"{self.path}: the daemon went away: {error.strerror}") from error
+            raise ClientError(f"{self.path}: {self._farewell() or f'the daemon went away: {error.strerror}'}") from error
 
     def read(self) -> dict[str, Any]:
         """The next message of any kind. While it waits, a client in charge gives signs of life."""
@@ -110,6 +111,17 @@ class DaemonClient:
         line, _, self._buffer = self._buffer.partition(b"\n")
         message: dict[str, Any] = json.loads(line)
         return message
+
+    def _farewell(self) -> str:
+        """Why the daemon has ended the connection, where it said so; empty: it did not."""
+        with contextlib.suppress(OSError):
+            while data := self._socket.recv(65536, socket.MSG_DONTWAIT):
+                self._buffer += data
+        for line in reversed(self._buffer.split(b"\n")[:-1]):
+            message = json.loads(line)
+            if "error" in message and message.get("id") is None:
+                return str(message["error"]["message"])
+        return ""
 
     def close(self) -> None:
         """Close the connection."""

@@ -191,6 +191,16 @@ def test_a_line_that_is_never_ended_and_a_client_that_says_nothing_are_cut_off(r
         assert next(message for message in found if message.get("id") == 2)["result"]
 
 
+def test_a_client_that_was_cut_off_says_why_at_its_next_call(rig):
+    client = rig.client()
+    client.call("status")
+    with raw(rig) as witness:  # its end comes after the client's
+        rig.server.clients.post(lambda: rig.server.clients.tidy(time.monotonic() + clients.IDLE_S + clients.PARTIAL_S))
+        assert "silent" in answer(witness)["error"]["message"]
+    with pytest.raises(ClientError, match="silent for 300 s"):
+        client.call("status")
+
+
 def test_more_clients_than_allowed_are_told_so(tmp_path):
     with Rig(tmp_path, drive=False, clients=3, retry_s=600) as rig:
         for _ in range(3):
