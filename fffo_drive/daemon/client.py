@@ -86,7 +86,8 @@ class DaemonClient:
         try:
             self._socket.sendall(line + b"\n")
         except OSError as error:
-            raise ClientError(f"{self.path}: {self._farewell() or f'the daemon went away: {error.strerror}'}") from error
+            reason = self._farewell() or f"the daemon went away: {error.strerror}"
+            raise ClientError(f"{self.path}: {reason}") from error
 
     def read(self) -> dict[str, Any]:
         """The next message of any kind. While it waits, a client in charge gives signs of life."""
