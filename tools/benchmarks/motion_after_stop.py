@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -271,7 +270,7 @@ def raced(race: Race, count: int) -> Raced:
 
 def motion_after_stop(count: int, side_by_side: int) -> Section:
     """So many races of each kind, so many kinds at a time."""
-    with ProcessPoolExecutor(side_by_side, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(side_by_side) as pool:
         done = list(pool.map(raced, KINDS, [count] * len(KINDS)))
     found, world = [one.tally for one in done], done[0]
     faults = sum((Counter(one.faults) for one in done), Counter[str]())
