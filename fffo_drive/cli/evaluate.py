@@ -1,7 +1,7 @@
 """Compare controllers: over many seeds on the simulated drive in process, on recorded runs, or on a bus.
 
   fffo-drive evaluate configs/scenarios/paper.yaml --controllers pi,pi+fffo --out DIR
-  fffo-drive evaluate SCENARIO --peers         published laws as well, tuned to the margins of pi+fffo+
+  fffo-drive evaluate SCENARIO --peers         other laws as well, with the margins of pi+fffo+
   fffo-drive evaluate --runs pi.mcap pi_fffo.mcap --out DIR
   fffo-drive evaluate SCENARIO --bus [BUS]     a scenario whose axis is on a bus, in real time, one run after another
 
@@ -75,8 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--peers",
         action="store_true",
-        help="run published laws as well (LuGre, generalised Maxwell slip, disturbance and extended state observer, "
-        "reduced-order friction observer)",
+        help="run other laws as well: plain PI with all integral action, published ones (LuGre, generalised Maxwell "
+        "slip, disturbance and extended state observer, reduced-order friction observer), and the drive's own velocity "
+        "loop with and without torque from the PC",
     )
     parser.add_argument("--node", metavar="FILE", help="with --bus: start this simulated drive on the bus")
     parser.add_argument(
@@ -144,7 +145,7 @@ def _compared_scenario(scenario: Scenario, options: argparse.Namespace, out: Pat
         where = "on a bus, in real time"
     else:
         if options.peers:  # first: where they cannot be run, nothing is
-            with bar("published laws") as progress:
+            with bar("other laws") as progress:
                 published, left = run_published(scenario, options.workers, progress)
             cautions = [*cautions, _caution_about_fits(left)]
         with bar(f"{file.name:8}") as progress:
@@ -172,7 +173,8 @@ def _caution_about_fits(left: Sequence[float]) -> str:
         f"{name} {100.0 * share:.0f} %" for name, share in zip(("2SEP", "LuGre", "GMS"), left, strict=True)
     )
     return (
-        "The published laws have the gains, inertia torque and preview of pi+fffo+. Their friction models are fitted "
+        "The other laws have the margins of pi+fffo+, and its gains, inertia torque and preview where they have such. "
+        "drive: PI at 8 kHz in the drive, with its own delay. Their friction models are fitted "
         "to one run on the same simulated axis and then given the scenario's model error. "
         f"Friction that the fit leaves unexplained: {shares}. luenberger+ follows Ruderman (arXiv 2504.21316) in part: "
         "its tangent stiffness, from the 2SEP fit, and the choice of its poles are this project's."
@@ -180,14 +182,14 @@ def _caution_about_fits(left: Sequence[float]) -> str:
 
 
 def caution_about_envelope(evaluations: Sequence[Evaluation], ticks: int) -> str:
-    """How often the envelope, which the published laws lack, changed a command. `ticks`: of each controller."""
+    """How often the envelope, which the other laws lack, changed a command. `ticks`: of each controller."""
     counts: dict[str, int] = {}
     for one in evaluations:
         counts[one.candidate] = counts.get(one.candidate, 0) + (one.envelope_ticks or 0)
     changed = ", ".join(f"of {name} in {count} of {ticks} ticks" for name, count in counts.items() if count)
     return (
         f"Of the laws compared, {', '.join(counts)} ran with the envelope (limits of current, slew rate and I2t), the "
-        f"published laws without it. It changed {f'the command {changed}' if changed else 'no command'}."
+        f"others without it. It changed {f'the command {changed}' if changed else 'no command'}."
     )
 
 

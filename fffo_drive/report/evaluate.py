@@ -46,7 +46,7 @@ class EvaluationSource(NamedTuple):
     yardstick: Yardstick
     cautions: Sequence[str]
     provenance: ReportProvenance
-    published: frozenset[str] = frozenset()  # laws that are run for comparison only: no axis file can have them
+    published: frozenset[str] = frozenset()  # laws that are run for comparison only: no controllers of the scenario
 
 
 def evaluation_report(source: EvaluationSource, summary: Summary, evaluations: Sequence[Evaluation]) -> Report:
@@ -110,7 +110,7 @@ def _verdict(source: EvaluationSource, summary: Summary, evaluations: Sequence[E
     elif best in source.published:
         step = "compare"
         own = next((name for name in ranking if name not in source.published), "none")
-        text = f"{best} is a published law, run for comparison. The best that an axis file can have is {own}."
+        text = f"{best} is run for comparison only. The best of the scenario's own controllers is {own}."
     else:
         step, text = "use it", f"Put toggle and gains of {best} into the axis file, and try it with fffo-drive run."
     return Verdict(

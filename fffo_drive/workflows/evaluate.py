@@ -32,7 +32,7 @@ def run_seeds(
 def run_published(
     scenario: Scenario, workers: int | None = None, progress: Callable[[float], None] | None = None
 ) -> tuple[list[Evaluation], tuple[float, ...]]:
-    """The published laws on every seed, with the gains and margins of the scenario's pi+fffo+.
+    """Plain and published laws and the drive's own loop on every seed, with the margins of the scenario's pi+fffo+.
 
     And the share of the friction that each of their models leaves: 2SEP, LuGre, GMS. Raises DocumentError.
     """

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from fffo_drive import formats
 from fffo_drive.cli import main
 from fffo_drive.config.axis import read_axis
 from fffo_drive.config.checks import law_problems
@@ -42,6 +43,42 @@ def chain_files(monkeypatch):
     return chain_files
 
 
+@pytest.fixture
+def chain(chain_files):
+    import chain  # ty: ignore[unresolved-import]
+
+    return chain
+
+
+def outcome(chain, number, **changes):
+    """A passive axis that is stable and quiet, with changes."""
+    plain = chain.Outcome(
+        number, "2SEP", (), "", True, "", (), "stable", 0.4, 1.0, "", 45.0, 0.5, 0.0, 0.0, 12.0, "0123abc"
+    )
+    return plain._replace(**changes)
+
+
+def test_the_table_tells_what_shakes_without_a_word_from_what_was_warned_of_and_from_refusals(chain):
+    nan = float("nan")
+    found = [
+        outcome(chain, 1),
+        outcome(chain, 2, warned=("expect stick-slip",), verdict="limit cycle in motion"),
+        outcome(chain, 3, elastic="0.35 behind 110 Hz, damping 0.030", verdict="at the current limit"),
+        outcome(chain, 4, elastic="0.20 behind 80 Hz, damping 0.030", refused="tune: 12.3 deg", verdict="",
+                creep_counts=nan, swing_counts=nan),
+        outcome(chain, 5, refused="tune: 7 deg", verdict="", creep_counts=nan, swing_counts=nan),
+        outcome(chain, 6, ran="run: oscillation"),  # the envelope ends the tuned file's own run
+        outcome(chain, 7, creep_counts=9.0),
+        outcome(chain, 8, passive=False, verdict="hunting at standstill"),  # no controller can bring it to rest
+    ]  # fmt: skip
+    lines = "\n".join(chain.table(found))
+    assert "| all: 7 | 2 | 1 | 1 | 0 | 1 | 2 | 0 | 1; **2** | 1 of 5 | 0.4, 7.3 |" in lines
+    assert "| rigid: 5 | 2 | 1 | 0 | 0 | 1 | 1 | 0 | 1; **1** | 1 of 4 |" in lines
+    assert "| elastic: 2 | 0 | 0 | 1 | 0 | 0 | 1 | 0 | 0; **1** | 0 of 1 |" in lines
+    assert "| tune: # deg | 2: 4, 5 |" in lines
+    assert "run: oscillation" in lines
+
+
 @pytest.fixture(scope="module")
 def plant():
     return case_of(read_scenario(ROOT / "configs" / "scenarios" / "paper.yaml"), 1).plant
@@ -67,7 +104,7 @@ def test_the_chain_in_one_process_writes_what_the_typed_commands_write(
     (tmp_path / "made").mkdir()
     (tmp_path / "typed").mkdir()
     made, typed = chain_files.Chain(tmp_path / "made"), chain_files.Chain(tmp_path / "typed")
-    tuned = made.type(plant, CONSTANT_NM_PER_A)
+    made.type(plant, CONSTANT_NM_PER_A)
     typed.new_axis(plant, CONSTANT_NM_PER_A)
 
     def types(*words: str) -> None:
@@ -86,7 +123,17 @@ def test_the_chain_in_one_process_writes_what_the_typed_commands_write(
     for name in ("axis.yaml", "axis.commissioning.yaml", "model/model.yaml", "tuned/axis.yaml"):
         assert (made.place / name).read_bytes() == (typed.place / name).read_bytes(), name
     section = yaml.safe_load((typed.place / "tuned" / "controller.yaml").read_text())["controller"]
-    assert section == tuned.section(read_axis(made.axis).controller.current_limit_a)
+    whole = yaml.safe_load(made.tuned.read_text())["controller"]
+    assert formats.over(whole, section) == whole
+
+    # the commands as processes of their own, as the typed chain of the benchmark has them
+    once_more = chain_files.TypedChain(typed.place)
+    once_more.identify([typed.place / f"{name}.mcap" for name in chain_files.PROFILES])
+    once_more.tune()
+    assert (made.place / "tuned" / "axis.yaml").read_bytes() == once_more.tuned.read_bytes()
+    assert once_more.warnings
+    with pytest.raises(ValueError, match=r"tune: fffo-drive tune: .*no_such\.yaml"):
+        once_more.tune(typed.place / "no_such.yaml")
 
     axis, model = read_axis(made.tuned), read_model(made.model())
     assert law_problems(axis, model, observer_on=True) == []

@@ -15,7 +15,10 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "tools" / "benchmarks"
 PEERS = {"2sep observer+", "lugre observer+", "lugre forward+", "gms forward+", "dob+", "eso+", "luenberger+"}
 PLUS = "pi+fffo+"
 VARIANTS = {f"{PLUS} {what}" for what in ("estimated", "second surface", "both", "both, 300 Hz")}
-LAWS = {"pi", "pi+fffo", PLUS, "lugre forward+ estimated", "gms forward+ estimated"} | VARIANTS | PEERS
+PLAIN = {"pi", "pi, all integral", "pi+inertia+preview", "drive 2 ms", "drive 1 ms"}
+HELPED = {f"drive {delay_ms} ms + torque {rate_hz} Hz" for delay_ms in (1, 2) for rate_hz in (250, 1000)}
+OWN = {"pi+fffo", PLUS, "lugre forward+ estimated", "gms forward+ estimated"} | VARIANTS
+LAWS = PLAIN | HELPED | OWN | PEERS
 PLANTS = ("five_surfaces", "single_2sep", "lugre", "maxwell_slip")
 
 
@@ -31,6 +34,7 @@ def test_every_law_runs_on_every_plant_with_the_margins_that_were_asked_for():
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)
     phase_deg, gain = facts["asked"]
+    assert (phase_deg, gain) == (45.0, 2.5)  # as tune asks for where nobody says otherwise
     for found in facts["margins"].values():
         assert found[0] >= phase_deg
         assert found[1] >= gain
@@ -38,9 +42,10 @@ def test_every_law_runs_on_every_plant_with_the_margins_that_were_asked_for():
     for plant in PLANTS:
         for slope in ("0", "-0.5"):
             ises = facts[f"{plant}, slope {slope}"]
-            assert set(ises) == LAWS
+            assert set(ises) == LAWS | {"typed"}
             assert all(math.isfinite(ise) and ise > 0.0 for ise in ises.values())
             assert ises["pi+fffo+"] < 0.1 * ises["pi+fffo"] < 0.1 * ises["pi"]
+            assert all(ises[PLUS] < ises[law] for law in PLAIN - {"drive 1 ms"})
         assert set(facts["axes"][plant]) == LAWS
         assert set(facts["axes"][plant].values()) == {1}
     # each model is at home on its own plant

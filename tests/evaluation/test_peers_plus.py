@@ -11,6 +11,7 @@ from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.stability import LinearAxis, loop_margins
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate
+from fffo_drive.evaluation.peers.campaign import plus_of
 from fffo_drive.evaluation.peers.fit import (
     LUGRE_START,
     SLIP_START,
@@ -19,7 +20,17 @@ from fffo_drive.evaluation.peers.fit import (
     fit_two_surfaces,
     friction_along,
 )
-from fffo_drive.evaluation.peers.laws import PLUS, Models, PeerDesign, Scale, axis_numbers, design_for, laws_of, scaled
+from fffo_drive.evaluation.peers.laws import (
+    PLUS,
+    Models,
+    PeerDesign,
+    Scale,
+    axis_numbers,
+    design_for,
+    peers_of,
+    scaled,
+    with_friction,
+)
 from fffo_drive.evaluation.peers.laws import wrong as made_wrong
 from fffo_drive.evaluation.peers.loop import PeerLaw, run_law
 from fffo_drive.evaluation.peers.lugre import LugreConfig
@@ -47,20 +58,22 @@ def case() -> Case:
 
 @pytest.fixture(scope="module")
 def design(case: Case) -> PeerDesign:
-    plus = next(one.controller for one in case.candidates if one.name == PLUS)
-    return design_for(plus, axis_numbers(case.plant), case.plant.friction.viscous_nm_per_rps)
+    return design_for(plus_of(case).controller)
 
 
 @pytest.fixture(scope="module")
 def laws(case: Case, design: PeerDesign) -> dict[str, PeerLaw]:
-    return {law.name: law for law in laws_of(case.candidates, design, axis_numbers(case.plant), MODELS)}
+    plus = plus_of(case)
+    config = with_friction(plus.controller, MODELS.two_state)
+    laws = [PeerLaw(PLUS, config, plus.toggle), *peers_of(config, plus.toggle, design, MODELS)]
+    return {law.name: law for law in laws}
 
 
 @pytest.mark.parametrize("second", [False, True])
 def test_it_runs_in_the_loop_of_peers_as_in_its_own(case, design, laws, second):
     axis = axis_numbers(case.plant)
     law = with_second_surface(laws[PLUS], axis, SURFACES) if second else laws[PLUS]
-    law = on_the_estimate(law, design, axis, BANDWIDTH_HZ, LIMITS_RPS)
+    law = on_the_estimate(law, design.wish, axis, BANDWIDTH_HZ, LIMITS_RPS)
     assert isinstance(law.config, ControllerConfig)
     own_case = case._replace(session=case.session._replace(effects=law.effects))
     rows, trip = simulate(own_case, Candidate(PLUS, law.toggle, law.config))
@@ -76,7 +89,7 @@ def test_it_runs_in_the_loop_of_peers_as_in_its_own(case, design, laws, second):
 @pytest.mark.parametrize("name", [PLUS, "lugre forward+", "gms forward+"])
 def test_the_margins_on_the_estimate_are_those_of_the_design_and_the_loop_is_faster(case, design, laws, name):
     axis = axis_numbers(case.plant)
-    before, law = laws[name], on_the_estimate(laws[name], design, axis, BANDWIDTH_HZ, LIMITS_RPS)
+    before, law = laws[name], on_the_estimate(laws[name], design.wish, axis, BANDWIDTH_HZ, LIMITS_RPS)
     gain = 0.0
     if isinstance(law.config, ControllerConfig):
         common, gain = law.config, law.config.observer.gain_nm_per_rev
@@ -89,19 +102,19 @@ def test_the_margins_on_the_estimate_are_those_of_the_design_and_the_loop_is_fas
         axis.inertia_nm_s2_per_rev, 0.0, delay_s, axis.torque_constant_nm_per_a, estimator=common.velocity
     )
     margins = loop_margins(linear, *common.pi, gain)
-    assert margins.phase_deg >= design.margins.phase_deg
-    assert margins.gain >= design.margins.gain
-    tight = min(margins.phase_deg / design.margins.phase_deg, margins.gain / design.margins.gain)
+    assert margins.phase_deg >= design.wish.phase_margin_deg
+    assert margins.gain >= design.wish.gain_margin
+    tight = min(margins.phase_deg / design.wish.phase_margin_deg, margins.gain / design.wish.gain_margin)
     assert tight == pytest.approx(1.0, abs=1e-3)
     faster = common.pi.proportional_a_per_rps / was.proportional_a_per_rps
     assert faster > 1.0
     assert common.pi.integral_a_per_rev == pytest.approx(faster**2 * was.integral_a_per_rev)
-    assert law.feedforward.behind_ticks == 0.0
+    assert law.common.feedforward.behind_ticks == 0.0
 
 
 def test_a_law_with_an_observer_in_its_loop_is_refused(case, design, laws):
     with pytest.raises(TypeError, match="dob\\+"):
-        on_the_estimate(laws["dob+"], design, axis_numbers(case.plant), BANDWIDTH_HZ, LIMITS_RPS)
+        on_the_estimate(laws["dob+"], design.wish, axis_numbers(case.plant), BANDWIDTH_HZ, LIMITS_RPS)
 
 
 # as fitted to GMS friction: a single surface that stands for several

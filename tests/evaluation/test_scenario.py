@@ -246,6 +246,18 @@ def test_wide_axes_are_the_same_ones_every_time_on_resolvers_and_encoders():
 
 
 @pytest.mark.slow
+def test_every_third_wide_axis_has_one_elastic_load_within_its_bounds():
+    nominal = read_scenario(SCENARIOS / "paper.yaml").plant
+    axes = [wide_axis(nominal, number) for number in range(0, 60, 3)]
+    loads = [[effect for effect in axis.plant.effects if effect.name == "elasticity"] for axis in axes]
+    assert all(len(load) == 1 and "elasticity" in axis.effects for axis, load in zip(axes, loads, strict=True))
+    for name, low, high in (("load_share", 0.05, 0.6), ("frequency_hz", 20.0, 400.0), ("damping", 0.01, 0.1)):
+        values = np.array([load[0].parameters[name] for load in loads])
+        assert low <= values.min() < low * (high / low) ** 0.4
+        assert low * (high / low) ** 0.6 < values.max() <= high
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "passive"), [(None, True), ("periodic_disturbance", True), ("odd_direction_angle", False)]
 )

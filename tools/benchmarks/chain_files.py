@@ -1,5 +1,6 @@
-"""The chain on one simulated axis as a user types it, in one process: every file is written by the function that the
-command writes it with (commission, run, identify, diagnose, tune), and the tuned axis file is what is run.
+"""The chain on one simulated axis as a user types it: by the commands themselves, or in one process, where every file
+is written by the function that the command writes it with (commission, run, identify, diagnose, tune). The tuned axis
+file is what is run.
 
 What a user of a new axis has: the drive, its torque constant, and a first axis file as `bring-up` drafts it. Nothing
 here chooses a key of the law.
@@ -8,7 +9,11 @@ here chooses a key of the law.
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import math
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,32 +22,39 @@ from typing import Any
 import yaml
 from common import ROOT
 
+from fffo_drive.cli import main as cli
+from fffo_drive.commissioning.record import FAILED, NOT_DONE, WARNING, CommissioningRecord, read_record
 from fffo_drive.config.axis import hold_dead_band_rev, loop_axis, read_axis
 from fffo_drive.config.axis_text import replace_file, with_line
 from fffo_drive.config.commissioning import commissioned, permission
 from fffo_drive.documents import DocumentError, parse, read_text
 from fffo_drive.drive.simulated.parameters import PlantConfig
+from fffo_drive.evaluation.peers.laws import AxisNumbers
 from fffo_drive.identification.dataset import DataError, Record, load_records, where_command_acts
 from fffo_drive.identification.fit import FitSettings
 from fffo_drive.identification.tuning import Wish
-from fffo_drive.model.parameters import ModelFile, read_model, write_model
+from fffo_drive.model.friction import FrictionConfig
+from fffo_drive.model.parameters import ModelFile, Quantity, read_model, write_model
+from fffo_drive.symbols import FRICTION
+from fffo_drive.units import inertia_kg_m2
 from fffo_drive.workflows.axis_draft import first_law
 from fffo_drive.workflows.commission import bounds_of, commission_axis, commissioning_plan, record_path
 from fffo_drive.workflows.identify import fitted_model
 from fffo_drive.workflows.plan import make_plan, open_drive
 from fffo_drive.workflows.record import record_run
 from fffo_drive.workflows.recorded_facts import facts_for
-from fffo_drive.workflows.tune import Tuned, needs_diagnosis, tune, write_tuned_axis
+from fffo_drive.workflows.tune import needs_diagnosis, tune, write_tuned_axis
 
 CONFIGS = ROOT / "configs"
 EXAMPLE = CONFIGS / "axis_simulated.yaml"
 ASSUMED_MODEL = CONFIGS / "models" / "table1.yaml"
-AXIS, DRIVE, MODEL = "axis.yaml", "simulated_drive.yaml", "assumed.yaml"
-IDENTIFIED, DIAGNOSED, TUNED = "model", "diagnosed", "tuned"  # directories
+AXIS, DRIVE, MODEL, KNOWN = "axis.yaml", "simulated_drive.yaml", "assumed.yaml", "known.yaml"
+IDENTIFIED, DIAGNOSED, TUNED, RANGED = "model", "diagnosed", "tuned", "ranged"  # directories
 PROFILES = {  # what is recorded, with the torque constant of the nominal axis
     "chirp": {"kind": "identify", "duration_s": 40, "low_a": 0.3, "high_a": 1.1, "lowest_hz": 0.01, "highest_hz": 10},
     "sweep": {"kind": "frf", "duration_s": 30, "amplitude_a": 0.8, "lowest_hz": 0.1, "highest_hz": 50},
 }
+TRACEBACK = "Traceback (most recent call last)"
 LOWER, MOST_STEPS = 0.8, 12  # of the amplitudes, while they are refused
 AMPLITUDES = ("low_a", "high_a", "amplitude_a")
 NOMINAL_NM_PER_A = 0.148
@@ -56,6 +68,7 @@ class Chain:
         self.place = place
         self.axis = place / AXIS
         self.logs: list[Path] = []  # that the model is from
+        self.warnings: list[str] = []  # what the user was told before anything ran with the tuned gains
 
     @property
     def tuned(self) -> Path:
@@ -84,10 +97,14 @@ class Chain:
     def commission(self) -> None:
         """As `commission AXIS --yes`. Raises ValueError where it does not pass."""
         plan = commissioning_plan(self.axis)
-        record = commission_axis(plan, bounds_of(plan), record_path(plan))
-        failed = [check for check in record.checks if check.verdict == "failed"]
+        self.judge(commission_axis(plan, bounds_of(plan), record_path(plan)))
+
+    def judge(self, record: CommissioningRecord) -> None:
+        """Keep the warnings of a record. Raises ValueError for one that has not passed."""
+        failed = [check for check in record.checks if check.verdict in (FAILED, NOT_DONE)]
         if failed:
             raise ValueError(f"commission: {failed[0].name}: {failed[0].text}")
+        self.warnings += [f"{check.name}: {check.text}" for check in record.checks if check.verdict == WARNING]
 
     def record(self, name: str, factor: float = 1.0) -> Path:
         """A run with amplitudes for this motor, lowered, as the user would, as long as the command refuses them by the
@@ -105,9 +122,11 @@ class Chain:
         assert refusal is not None
         raise refusal
 
-    def run(self, name: str) -> Path:
-        """As `run AXIS --profile FILE --out RUN`. Raises DocumentError; ValueError for a run that ends with a fault."""
-        plan = make_plan(self.axis, profile_file=self.place / f"{name}.yaml")
+    def run(self, name: str, axis: Path | None = None) -> Path:
+        """As `run AXIS --profile FILE --out RUN`, or `run AXIS --out RUN` on another axis file. Raises DocumentError;
+        ValueError for a run that ends with a fault.
+        """
+        plan = make_plan(axis or self.axis, profile_file=None if axis else self.place / f"{name}.yaml")
         out = self.place / f"{name}.mcap"
         out.unlink(missing_ok=True)  # of a run with larger amplitudes
         given = permission(plan.path, plan.axis, plan.model)
@@ -146,14 +165,47 @@ class Chain:
         named = model.model_copy(update={"name": DIAGNOSED})
         write_model(_made(self.place / DIAGNOSED) / "model.yaml", named)
 
-    def tune(self) -> Tuned:
-        """As `tune MODEL --axis AXIS --out tuned`, its axis file alone. Raises DocumentError."""
-        axis, model = read_axis(self.axis), read_model(self.model())
+    def know(self, numbers: AxisNumbers, friction: FrictionConfig, period_s: float) -> Path:
+        """A model file with these numbers, in place of what the commands would find."""
+        declared = read_model(ASSUMED_MODEL)
+
+        def known(value: float) -> Quantity:
+            return Quantity(value=value, source="known")
+
+        of_friction = {name: known(getattr(friction, name)) for name in FRICTION}
+        model = declared.model_copy(
+            update={
+                "name": "known",
+                "torque_constant_nm_per_a": numbers.torque_constant_nm_per_a,
+                "inertia_kg_m2": known(inertia_kg_m2(numbers.inertia_nm_s2_per_rev)),
+                "delay_s": known(numbers.delay_s - 0.5 * period_s),  # the hold is the loop's
+                "sensor_delay_s": known(numbers.sensor_delay_s),
+                "friction": declared.friction.model_copy(update=of_friction),
+            }
+        )
+        write_model(self.place / KNOWN, model)
+        return self.place / KNOWN
+
+    def tune(self, model_path: Path | None = None) -> dict[str, Any]:
+        """As `tune MODEL --axis AXIS --out tuned`, its axis file alone, and its summary. Raises DocumentError."""
+        model_path = model_path or self.model()
+        axis, model = read_axis(self.axis), read_model(model_path)
         measured = commissioned(self.axis, axis)
         found = tune(model, loop_axis(axis, model), Wish(), measured, hold_dead_band_rev(axis))
         section = found.section(axis.controller.current_limit_a)
-        write_tuned_axis(self.axis, _made(self.place / TUNED), section, self.model())
-        return found
+        write_tuned_axis(self.axis, _made(self.place / TUNED), section, model_path)
+        self.warnings += found.design.warnings
+        return found.summary()
+
+    def tune_range(self, low_kg_m2: float, high_kg_m2: float) -> None:
+        """`tune MODEL --axis AXIS --out ranged --inertia-range LOW HIGH`. Raises RefusedError."""
+        ends = (f"{low_kg_m2:.6g}", f"{high_kg_m2:.6g}")
+        words = ("--axis", self.axis, "--out", self.place / RANGED, "--inertia-range", *ends, "--json")
+        self.warnings += self.typed("tune", self.model(), *words)["warnings"]
+
+    def typed(self, command: str, *words: str | Path) -> dict[str, Any]:
+        """Run a command; its JSON object, or an empty one. Raises RefusedError as it ends."""
+        return in_this_process(command, *words)
 
     def delays_s(self) -> tuple[float, float]:
         """Of `commission` and of `identify`, command to measured velocity; nan where the chain ended before."""
@@ -165,7 +217,7 @@ class Chain:
             fitted_s = read_model(fitted).delay_s.value
         return measured_s, fitted_s
 
-    def type(self, plant: PlantConfig, torque_constant_nm_per_a: float) -> Tuned:
+    def type(self, plant: PlantConfig, torque_constant_nm_per_a: float) -> dict[str, Any]:
         """All of it, from power-on to the tuned file. Raises ValueError, DocumentError where a step refuses."""
         self.new_axis(plant, torque_constant_nm_per_a)
         self.commission()
@@ -174,6 +226,80 @@ class Chain:
             self.identify([self.record(name, MORE_CURRENT) for name in PROFILES])
         self.diagnose_where_advised()
         return self.tune()
+
+
+class TypedChain(Chain):
+    """The same by the commands themselves, each a process of its own. Raises ValueError where one of them refuses."""
+
+    def commission(self) -> None:
+        """`commission AXIS --yes`"""
+        with contextlib.suppress(RefusedError):  # the record says more
+            self.typed("commission", self.axis, "--yes")
+        self.judge(read_record(record_path(commissioning_plan(self.axis))))
+
+    def run(self, name: str, axis: Path | None = None) -> Path:
+        """`run AXIS --profile FILE --out RUN`, or `run AXIS --out RUN` on another axis file"""
+        out = self.place / f"{name}.mcap"
+        out.unlink(missing_ok=True)
+        profile = [] if axis else ["--profile", self.place / f"{name}.yaml"]
+        self.typed("run", axis or self.axis, *profile, "--out", out)
+        return out
+
+    def identify(self, logs: list[Path]) -> bool:
+        """`identify LOG... --out model`"""
+        self.logs = logs
+        said = self.typed("identify", *logs, "--out", self.place / IDENTIFIED, "--json")
+        return any(doubt["name"] == "coulomb_nm" for doubt in said["doubts"])
+
+    def diagnose_where_advised(self) -> None:
+        """`diagnose --fit LOG... --out diagnosed`, where `tune` advises it"""
+        if needs_diagnosis(read_model(self.model()), commissioned(self.axis, read_axis(self.axis))):
+            with contextlib.suppress(RefusedError):
+                self.typed("diagnose", "--fit", *self.logs, "--out", self.place / DIAGNOSED)
+
+    def tune(self, model_path: Path | None = None) -> dict[str, Any]:
+        """`tune MODEL --axis AXIS --out tuned`"""
+        model = model_path or self.model()
+        found = self.typed("tune", model, "--axis", self.axis, "--out", self.place / TUNED, "--json")
+        self.warnings += found["warnings"]
+        return found
+
+    def typed(self, command: str, *words: str | Path) -> dict[str, Any]:
+        """Run a command in a process of its own."""
+        words = (Path(sys.executable).parent / "fffo-drive", command, *words)
+        done = subprocess.run(words, capture_output=True, text=True, cwd=self.place)
+        return _answer(command, done.returncode, done.stdout, done.stderr, "--json" in words)
+
+
+class RefusedError(ValueError):
+    """A command ended with another exit code than 0."""
+
+
+def in_this_process(command: str, *words: str | Path) -> dict[str, Any]:
+    """Run a command in this process; its JSON object, or an empty one. Raises RefusedError as it ends."""
+    said, complained = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
+        try:
+            code = cli([command, *map(str, words)])
+        except SystemExit as error:  # of words that are none of the command's
+            code = error.code if isinstance(error.code, int) else 1
+    return _answer(command, code, said.getvalue(), complained.getvalue(), "--json" in words)
+
+
+def tuned_file(axis: Path, model: Path) -> Path:
+    """`tune MODEL --axis AXIS --out tuned`: the axis file that it writes, beside the other. Raises RefusedError."""
+    out = axis.parent / TUNED
+    in_this_process("tune", model, "--axis", axis, "--out", out)
+    return out / axis.name
+
+
+def _answer(command: str, code: int, said: str, complained: str, is_json: bool) -> dict[str, Any]:
+    """What a command printed. Raises RefusedError with its last line; RuntimeError for a fault of the program."""
+    if code != 0:
+        lines = (complained.strip() or said.strip()).splitlines() or [""]
+        raise (RuntimeError if TRACEBACK in complained else RefusedError)(f"{command}: {lines[-1]}")
+    found: dict[str, Any] = json.loads(said) if is_json else {}
+    return found
 
 
 def records_of(logs: Sequence[Path]) -> tuple[Any, list[Record]]:

@@ -23,6 +23,7 @@ import numpy as np
 from chain import (
     COUNTS_PER_REV,
     MOST_CREEP_COUNTS,
+    REFUSALS,
     SCENARIO,
     crept_counts,
     declared_nm_per_a,
@@ -39,7 +40,6 @@ from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.envelope import TRIP_NONE
 from fffo_drive.control.position_hold import HELD_DEAD_BANDS, NO_HOLD
 from fffo_drive.control.reference import MODE_VELOCITY, Profile, piecewise_linear
-from fffo_drive.documents import DocumentError
 from fffo_drive.drive.simulated.effects import slots
 from fffo_drive.drive.simulated.effects.declaration import PlantEffect, PlantParameter
 from fffo_drive.drive.simulated.effects.registry import EFFECTS
@@ -218,7 +218,7 @@ def outcome_of(job: Job) -> Outcome:
         try:
             chain.type(axis.plant, declared_nm_per_a(axis))
             candidate = tuned_candidate(chain)
-        except (ValueError, DocumentError) as error:
+        except REFUSALS as error:
             return Outcome(axis.number, axis.law, str(error).splitlines()[0], {})
     laws = variants_of(candidate.controller, 1.0 / candidate.controller.observer.friction.stiffness_per_rev)
     found = {name: figures_of(case, candidate._replace(controller=law)) for name, law in laws.items()}

@@ -12,11 +12,13 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from chain import SCENARIO, declared_nm_per_a, excitations, facts_of
+from chain import REFUSALS, SCENARIO, declared_nm_per_a
+from chain_files import PROFILES, Chain, records_of
 from common import RESULTS, made_by, progress_bar
 from trial_axes.random_axis import wide_axis
 
@@ -24,7 +26,6 @@ from fffo_drive.config.scenario import case_of, read_scenario
 from fffo_drive.evaluation.campaign import Case, warm_up
 from fffo_drive.evaluation.workers import over_cores
 from fffo_drive.identification import fit as fitting
-from fffo_drive.identification.dataset import DataError
 
 FIRST = 7300
 SHARES = (0.05, 0.5, 0.9, 0.95, 0.99, 1.0)
@@ -49,17 +50,18 @@ def run_job(job: Job) -> StaticFriction:
     """One axis."""
     axis = wide_axis(job.case.plant, job.number)
     true_nm = axis.plant.friction.stiction_nm
-    constant_nm_per_a = declared_nm_per_a(axis)
-    nominal = next(c for c in job.case.candidates if c.name == "pi+fffo+")
-    records = excitations(job.case._replace(plant=axis.plant), nominal.controller, constant_nm_per_a)
     fitted = []
-    try:
-        for most in (fitting.MOST_STATIC, math.inf):
-            with patch.object(fitting, "MOST_STATIC", most):
-                settings = fitting.FitSettings(compare_literal=False)
-                fitted.append(fitting.fit_records(records, settings, facts_of(constant_nm_per_a)))
-    except DataError:
-        return StaticFriction(math.nan, math.nan, math.nan)
+    with TemporaryDirectory(prefix="chain_") as place:
+        chain = Chain(Path(place))
+        chain.new_axis(axis.plant, declared_nm_per_a(axis))
+        try:
+            chain.commission()
+            facts, records = records_of([chain.record(name) for name in PROFILES])
+            for most in (fitting.MOST_STATIC, math.inf):
+                with patch.object(fitting, "MOST_STATIC", most):
+                    fitted.append(fitting.fit_records(records, fitting.FitSettings(compare_literal=False), facts))
+        except REFUSALS:
+            return StaticFriction(math.nan, math.nan, math.nan)
     bounded, free = (fit.value("static_nm") / true_nm for fit in fitted)
     return StaticFriction(true_nm / fitted[0].start.most_friction_nm, bounded, free)
 

@@ -22,6 +22,11 @@ ENCODER_BITS = (14, 18)  # of every other wide axis: encoder counts, without a s
 ENCODER_TRACKING_HZ = 2000.0  # the velocity of its drive
 STRONGEST = 1.5  # of an effect, in multiples of the registry's default
 MORE_EFFECTS = 2  # largest number, in addition to the one whose turn it is
+ELASTIC_EVERY = 3  # a third of the wide axes has an elastic load
+ELASTIC_HZ = (20.0, 400.0)  # resonance of motor against load, evenly in its logarithm
+ELASTIC_SHARE = (0.05, 0.6)  # of the inertia
+ELASTIC_DAMPING = (0.01, 0.1)  # evenly in its logarithm
+ELASTICITY = "elasticity"
 FRICTION_LAWS = ("five surfaces", "2SEP", "LuGre", "Dahl", "stiff contact with high stiction")
 
 
@@ -60,7 +65,8 @@ def random_axis(nominal: PlantConfig, number: int) -> RandomAxis:
 def wide_axis(nominal: PlantConfig, number: int) -> RandomAxis:
     """Axis `number` with a 50 % spread of every number, the delay and the noise, with a resolver or an encoder.
 
-    Raises ValueError when no drive can be made of what is drawn.
+    A third has an elastic load, and others may draw one from the registry. Raises ValueError when no drive can be made
+    of what is drawn.
     """
     rng = np.random.default_rng([number, 0xB])
     for _ in range(100):
@@ -88,9 +94,25 @@ def wide_axis(nominal: PlantConfig, number: int) -> RandomAxis:
             friction=_friction(law, nominal.friction, rng, WIDE_SPREAD),
             effects=tuple(_effect(name, rng) for name in names),
         )
+        if number % ELASTIC_EVERY == 0:
+            others = tuple(effect for effect in plant.effects if effect.name != ELASTICITY)
+            plant = replace(plant, effects=(_elastic_load(rng), *others))
+            names = tuple(effect.name for effect in plant.effects)
         if not plant.errors():
             return RandomAxis(number, plant, law, names)
     raise ValueError(f"axis {number}: a hundred draws gave no drive; the last one: {plant.errors()[0]}")
+
+
+def _elastic_load(rng: np.random.Generator) -> EffectConfig:
+    def evenly_in_logarithm(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    values = {
+        "load_share": float(rng.uniform(*ELASTIC_SHARE)),
+        "frequency_hz": evenly_in_logarithm(*ELASTIC_HZ),
+        "damping": evenly_in_logarithm(*ELASTIC_DAMPING),
+    }
+    return EffectConfig(ELASTICITY, values)
 
 
 def _factor(rng: np.random.Generator, spread: float = SPREAD) -> float:

@@ -1,4 +1,4 @@
-"""Published laws beside the controllers of a scenario: the same seeds and references, margins, and errors of the model.
+"""Other laws beside the controllers of a scenario: the same seeds and references, margins, and errors of the model.
 
 They have the gains, inertia torque, preview and error filter of the scenario's PI+FFFO+. Their friction models are
 fitted to a run on the same simulated axis.
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ...arrays import Floats
 from ..campaign import Candidate, Case, Evaluation, evaluation_of
-from .laws import PLUS, Models, design_for, fit_models, known_numbers, peers_of, with_friction, wrong
+from .laws import PLUS, Models, design_for, fit_models, peers_of, with_friction, wrong
 from .loop import PeerLaw, run_law
 
 FIT_SEED = 1000  # of the record that the models are fitted to; no seed that is evaluated
@@ -60,16 +60,15 @@ def plus_of(case: Case) -> Candidate:
 
 
 def run_peers(case: Case, models: Models, mismatch_share: float, sign: float | None) -> list[Evaluation]:
-    """All published laws on one seed; each number of their friction is wrong by `mismatch_share`.
+    """All other laws on one seed; each number of their friction is wrong by `mismatch_share`.
 
     `sign`: of these errors; None: drawn by the seed. Raises ValueError as `plus_of`, and where no gain of a disturbance
     observer has the margins of PI+FFFO+.
     """
     candidate = plus_of(case)
-    plus = candidate.controller
     known = wrong(models, mismatch_share, case.seed, sign)
-    design = design_for(plus, known_numbers(plus), plus.observer.friction.viscous_nm_per_rps)
-    laws = peers_of(with_friction(plus, known.two_state), candidate.toggle, design, known_numbers(plus), known)
+    plus = with_friction(candidate.controller, known.two_state)
+    laws = peers_of(plus, candidate.toggle, design_for(plus), known)
     return [
         evaluation_of(
             law.name, case.seed, run_law(case.plant, case.device, law, case.profile).trace, case.yardstick,

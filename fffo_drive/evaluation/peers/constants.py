@@ -12,6 +12,7 @@ from ...control.feedforward import FeedforwardConfig, Reference
 from ...control.pi import PiConfig, pi_step
 from ...control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig
 from ...jit import njit
+from ...packing import reader
 
 INTEGRAL_A = 0
 ERROR_RPS = 1  # filtered
@@ -30,6 +31,9 @@ class PeerConfig(NamedTuple):
     period_s: float
     error_share: float  # weight of a new error in the filter, per period
     velocity: VelocityEstimatorConfig = DRIVE_VELOCITY  # of the error
+
+
+unpack_peer = njit(reader(PeerConfig, "unpack_peer"))
 
 
 @njit
@@ -53,6 +57,15 @@ def command_for(config: PeerConfig, memory: Floats, reference: Reference, error_
     command_a = min(max(wanted_a, -limit_a), limit_a)
     memory[LIMITED] = 1.0 if command_a != wanted_a else 0.0
     return float(command_a)
+
+
+@njit
+def pi_with_offset_step(
+    parameters: Floats, memory: Floats, reference: Reference, velocity_rps: float, added_nm: float
+) -> float:
+    """The command (A) of one period of PI beside a torque that comes from elsewhere."""
+    config = unpack_peer(parameters)
+    return command_for(config, memory, reference, filtered_error(config, memory, reference, velocity_rps), added_nm)
 
 
 @njit

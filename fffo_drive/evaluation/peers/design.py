@@ -61,28 +61,43 @@ def observer_margins(axis: LinearAxis, proportional_a_per_rps: float, bandwidth:
 def observer_gains(axis: LinearAxis, form: ObserverForm, wish: Wish) -> ObserverGains:
     """Gains with the required margins and the largest integral action. Raises ValueError if there are none."""
     fastest = 0.5 * math.pi / axis.delay_s
-    found = [
-        _gains_at(axis, float(crossover), form, wish)
-        for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS)
-    ]
-    held = [gains for gains in found if gains.bandwidth_rad_per_s > 0.0]
-    if not held:
+    best: ObserverGains | None = None
+    for crossover in fastest * np.geomspace(1.0, SLOWEST_SHARE, CROSSOVERS):
+        found = _better_at(axis, float(crossover), form, wish, best)
+        best = found or best
+    if best is None:
         raise ValueError("no proportional gain has the required margins")
-    return max(held, key=lambda gains: _integral_action(axis, form, gains))
+    return best
 
 
-def _integral_action(axis: LinearAxis, form: ObserverForm, gains: ObserverGains) -> float:
+def _integral_action(axis: LinearAxis, form: ObserverForm, proportional_a_per_rps: float, bandwidth: float) -> float:
     """Kp over the lag of the observer behind a slow disturbance."""
-    behind_s = sum(1.0 / (gains.bandwidth_rad_per_s + beyond) for beyond in form.beyond_rad_per_s)
-    return gains.proportional_a_per_rps / (behind_s + axis.delay_s - form.earlier_s)
+    behind_s = sum(1.0 / (bandwidth + beyond) for beyond in form.beyond_rad_per_s)
+    return proportional_a_per_rps / (behind_s + axis.delay_s - form.earlier_s)
 
 
-def _gains_at(axis: LinearAxis, crossover: float, form: ObserverForm, wish: Wish) -> ObserverGains:
-    """At a crossover (rad/s) of P alone, with the largest bandwidth that has the margins; 0 where none has."""
+def _better_at(
+    axis: LinearAxis, crossover: float, form: ObserverForm, wish: Wish, best: ObserverGains | None
+) -> ObserverGains | None:
+    """At a crossover (rad/s) of P alone, with the largest bandwidth that has the margins; None where it is not better.
+
+    The bandwidth that would do as well as the best so far is tried first: most crossovers end there.
+    """
     proportional = crossover * axis.inertia_nm_s2_per_rev / axis.torque_constant_nm_per_a
+    most = LARGEST_BANDWIDTH / axis.delay_s
 
-    def margins(bandwidth: float) -> Margins:
-        return observer_margins(axis, proportional, bandwidth, form)
+    def holds(bandwidth: float) -> bool:
+        return wish.is_met(observer_margins(axis, proportional, bandwidth, form))
 
-    bandwidth = largest_that(LARGEST_BANDWIDTH / axis.delay_s, lambda bandwidth: wish.is_met(margins(bandwidth)))
-    return ObserverGains(proportional, bandwidth, margins(bandwidth))
+    if best is not None:
+        asked = _integral_action(axis, form, best.proportional_a_per_rps, best.bandwidth_rad_per_s)
+        below = largest_that(most, lambda wide: _integral_action(axis, form, proportional, wide) <= asked)
+        if not holds(below):
+            return None
+    bandwidth = largest_that(most, holds)
+    if bandwidth == 0.0:
+        return None
+    found = ObserverGains(proportional, bandwidth, observer_margins(axis, proportional, bandwidth, form))
+    if best is not None and _integral_action(axis, form, proportional, bandwidth) <= asked:
+        return None
+    return found

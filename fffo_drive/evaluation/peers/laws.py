@@ -1,33 +1,32 @@
 """The laws of a comparison on one axis: this project's and its peers, with the same margins.
 
-Laws with a friction model have the gains of PI+FFFO+: their linear loop is the same PI plus L / s, wherever L is added.
-Those with a disturbance observer have the gains of `design.observer_gains` for the margins of that loop. The friction
-models are fitted to one record of the same plant; then all are changed by the same share.
-
-On another axis the gains follow from inertia, torque constant and delay: with time in units of the delay the loop is
-the same except for the viscous damping, which is small compared with J / Td.
+Laws with a friction model, and the plain ones, have the gains of PI+FFFO+: their linear loop is the same PI plus L / s,
+wherever L is added. Those with a disturbance observer have the gains of `design.observer_gains` for the same margins,
+and a velocity loop in the drive those of `drive_loop.drive_gains`. The friction models are fitted to one record of the
+same plant; then all are changed by the same share.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ...arrays import Floats
 from ...control.controller import ControllerConfig
+from ...control.feedforward import NO_FEEDFORWARD
+from ...control.friction_observer import TOGGLE_OFF
 from ...control.pi import PiConfig
-from ...control.stability import LinearAxis, Margins, loop_margins
+from ...control.stability import LinearAxis, loop_margins
 from ...drive.simulated.parameters import PlantConfig, delay_budget
 from ...identification.tuning import Wish
 from ...model.friction import FrictionConfig
 from ...units import inertia_nm_s2_per_rev
-from ..campaign import Candidate
 from .constants import PeerConfig
 from .design import ObserverForm, ObserverGains, observer_gains
 from .disturbance_observer import ObserverLoop
+from .drive_loop import DELAYS_S, PER_TICK, TORQUE_RATES_HZ, DriveLoop, TorqueOffset, drive_gains
 from .fit import LUGRE_START, SLIP_START, TABLE_1, TwoSurfaces, fit_friction
 from .loop import PeerLaw
 from .luenberger import LuenbergerLoop, further_pole_rad_per_s
@@ -39,6 +38,8 @@ Contact = TypeVar("Contact", FrictionConfig, TwoSurfaces)
 
 PI, FFFO, PLUS = "pi", "pi+fffo", "pi+fffo+"
 OWN_LAWS = (PI, FFFO, PLUS)
+PI_ALL, PI_AHEAD = "pi, all integral", "pi+inertia+preview"  # without a friction model
+PLAIN_LAWS = (PI_ALL, PI_AHEAD)
 DOB_ORDER, ESO_ORDER = 1, 2
 
 
@@ -71,13 +72,18 @@ class AxisNumbers(NamedTuple):
 
 
 class PeerDesign(NamedTuple):
-    """Gains on the nominal axis, with the plant and margins that they are for."""
+    """Gains of the observers on an axis, and the margins that all laws have there."""
 
-    nominal: AxisNumbers
-    margins: Margins  # of PI+FFFO+
+    wish: Wish
     disturbance: ObserverGains  # Q of first order
     extended_state: ObserverGains  # Q of second order
     friction_state: ObserverGains  # friction observer on the position
+
+
+def drives_own(delay_s: float, torque_rate_hz: float | None = None) -> str:
+    """Name of a velocity loop in the drive, alone or with the torque of the PC."""
+    own = f"drive {1e3 * delay_s:g} ms"
+    return own if torque_rate_hz is None else f"{own} + torque {torque_rate_hz:g} Hz"
 
 
 def axis_numbers(plant: PlantConfig) -> AxisNumbers:
@@ -166,28 +172,24 @@ def known_numbers(plus: ControllerConfig) -> AxisNumbers:
     )
 
 
-def design_for(plus: ControllerConfig, numbers: AxisNumbers, viscous_nm_per_rps: float) -> PeerDesign:
-    """Gains of all observers with the margins of PI+FFFO+ on this axis. ValueError: none has them.
+def design_for(plus: ControllerConfig, wish: Wish | None = None) -> PeerDesign:
+    """Gains of all observers on the axis that PI+FFFO+ knows. ValueError: none has the margins.
 
-    The friction observer on the position needs the friction model of PI+FFFO+ as well.
+    None: the margins of PI+FFFO+ there.
     """
+    numbers, friction = known_numbers(plus), plus.observer.friction
     axis = LinearAxis(
         numbers.inertia_nm_s2_per_rev,
-        viscous_nm_per_rps,
+        friction.viscous_nm_per_rps,
         numbers.delay_s,
         numbers.torque_constant_nm_per_a,
         error_filter_s=error_filter_s(plus),
     )
-    margins = loop_margins(
-        axis, plus.pi.proportional_a_per_rps, plus.pi.integral_a_per_rev, plus.observer.gain_nm_per_rev
-    )
-    wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
-    forms = (
-        ObserverForm(DOB_ORDER * (0.0,)),
-        ObserverForm(ESO_ORDER * (0.0,)),
-        friction_form(plus, numbers, plus.observer.friction),
-    )
-    return PeerDesign(numbers, margins, *(observer_gains(axis, form, wish) for form in forms))
+    if wish is None:
+        margins = loop_margins(axis, *plus.pi, plus.observer.gain_nm_per_rev)
+        wish = Wish(phase_margin_deg=margins.phase_deg, gain_margin=margins.gain)
+    forms = (ObserverForm(DOB_ORDER * (0.0,)), ObserverForm(ESO_ORDER * (0.0,)), friction_form(plus, numbers, friction))
+    return PeerDesign(wish, *(observer_gains(axis, form, wish) for form in forms))
 
 
 def friction_form(plus: ControllerConfig, numbers: AxisNumbers, friction: FrictionConfig) -> ObserverForm:
@@ -206,49 +208,35 @@ def with_friction(config: ControllerConfig, friction: FrictionConfig) -> Control
     return config._replace(observer=observer._replace(friction=friction, clamp_nm=clamp_nm))
 
 
-def tuned_to(
-    config: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
-) -> ControllerConfig:
-    """A law of this project with the gains, shifts and friction of an axis; shifts that it does not have stay zero."""
-    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
-    current_ratio = inertia_ratio * design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
-    faster = design.nominal.delay_s / axis.delay_s
-    config = with_friction(config, friction)
-    observer = config.observer
-    shifts = config.feedforward
-    ahead_ticks = (axis.delay_s - axis.sensor_delay_s) / config.period_s
-    behind_ticks = axis.sensor_delay_s / config.period_s
-    return config._replace(
-        pi=PiConfig(
-            config.pi.proportional_a_per_rps * current_ratio * faster,
-            config.pi.integral_a_per_rev * current_ratio * faster**2,
-        ),
-        observer=observer._replace(gain_nm_per_rev=observer.gain_nm_per_rev * inertia_ratio * faster**2),
-        feedforward=shifts._replace(
-            inertia_nm_s2_per_rev=axis.inertia_nm_s2_per_rev if shifts.inertia_nm_s2_per_rev else 0.0,
-            ahead_ticks=ahead_ticks if shifts.ahead_ticks else 0.0,
-            behind_ticks=behind_ticks if shifts.behind_ticks else 0.0,
-        ),
-        torque_constant_nm_per_a=axis.torque_constant_nm_per_a,
-    )
-
-
-def laws_of(candidates: Sequence[Candidate], design: PeerDesign, axis: AxisNumbers, models: Models) -> list[PeerLaw]:
-    """PI, PI+FFFO, PI+FFFO+ and the peers, tuned to an axis. `candidates` are those of OWN_LAWS."""
-    by_name = {candidate.name: candidate for candidate in candidates}
-    own = [
-        PeerLaw(name, tuned_to(by_name[name].controller, design, axis, models.two_state), by_name[name].toggle)
-        for name in OWN_LAWS
+def plain_laws(plus: ControllerConfig) -> list[PeerLaw]:
+    """PI+FFFO+ without its friction model, L in the integral: with nothing from the reference, and with the rest."""
+    ahead = plus._replace(pi=_learning(plus))
+    return [
+        PeerLaw(PI_ALL, ahead._replace(feedforward=NO_FEEDFORWARD), TOGGLE_OFF),
+        PeerLaw(PI_AHEAD, ahead, TOGGLE_OFF),
     ]
-    plus = own[-1].config
-    assert isinstance(plus, ControllerConfig)
-    return [*own, *peers_of(plus, own[-1].toggle, design, axis, models)]
 
 
-def peers_of(
-    plus: ControllerConfig, toggle: int, design: PeerDesign, axis: AxisNumbers, models: Models
-) -> list[PeerLaw]:
-    """The published laws with the gains, inertia torque, preview and error filter of PI+FFFO+."""
+def drive_loops(plus: ControllerConfig, wish: Wish, friction: FrictionConfig) -> list[PeerLaw]:
+    """The drive's own velocity loop at each of `DELAYS_S`, alone and with the torque of the PC at each of its rates."""
+    axis = known_numbers(plus)
+    inertia, constant = axis.inertia_nm_s2_per_rev, axis.torque_constant_nm_per_a
+    found = []
+    for delay_s in DELAYS_S:
+        gains = PiConfig(*drive_gains(inertia, constant, delay_s, wish))
+        config = PeerConfig(gains, NO_FEEDFORWARD, constant, plus.current_limit_a, plus.period_s / PER_TICK, 1.0)
+        found.append(PeerLaw(drives_own(delay_s), config, drive=DriveLoop(delay_s)))
+        for rate_hz in TORQUE_RATES_HZ:
+            beside = DriveLoop(delay_s, TorqueOffset(friction, inertia, rate_hz))
+            found.append(PeerLaw(drives_own(delay_s, rate_hz), config, drive=beside))
+    return found
+
+
+def peers_of(plus: ControllerConfig, toggle: int, design: PeerDesign, models: Models) -> list[PeerLaw]:
+    """The plain laws, the published ones and the drive's own loop on the axis that PI+FFFO+ knows.
+
+    All but the last with the gains, inertia torque, preview and error filter of PI+FFFO+, and with its margins.
+    """
     gain = plus.observer.gain_nm_per_rev
     peer = PeerConfig(
         plus.pi,
@@ -258,39 +246,42 @@ def peers_of(
         plus.period_s,
         plus.error_share,
     )
-    integral = plus.pi.integral_a_per_rev + gain / plus.torque_constant_nm_per_a
-    learning = peer._replace(pi=plus.pi._replace(integral_a_per_rev=integral))
+    learning = peer._replace(pi=_learning(plus))
     in_friction = plus._replace(observer=plus.observer._replace(learns_in_integral=False))
     return [
+        *plain_laws(plus),
         PeerLaw("2sep observer+", in_friction, toggle),
         PeerLaw("lugre observer+", LugreConfig(peer, models.lugre, gain)),
         PeerLaw("lugre forward+", LugreConfig(learning, models.lugre, 0.0)),
         PeerLaw("gms forward+", SlipConfig(learning, models.slip)),
-        PeerLaw("dob+", _observer_loop(peer, design, axis, design.disturbance, DOB_ORDER)),
-        PeerLaw("eso+", _observer_loop(peer, design, axis, design.extended_state, ESO_ORDER)),
-        PeerLaw("luenberger+", _luenberger_loop(peer, plus, design, axis, models.two_state)),
+        PeerLaw("dob+", _observer_loop(peer, plus, design.disturbance, DOB_ORDER)),
+        PeerLaw("eso+", _observer_loop(peer, plus, design.extended_state, ESO_ORDER)),
+        PeerLaw("luenberger+", _luenberger_loop(peer, plus, design.friction_state)),
+        *drive_loops(plus, design.wish, models.two_state),
     ]
 
 
-def _observer_loop(
-    peer: PeerConfig, design: PeerDesign, axis: AxisNumbers, gains: ObserverGains, order: int
-) -> ObserverLoop:
-    proportional, bandwidth = _scaled_gains(design, axis, gains)
+def _learning(plus: ControllerConfig) -> PiConfig:
+    """Its PI with L in the integral."""
+    more = plus.observer.gain_nm_per_rev / plus.torque_constant_nm_per_a
+    return plus.pi._replace(integral_a_per_rev=plus.pi.integral_a_per_rev + more)
+
+
+def _observer_loop(peer: PeerConfig, plus: ControllerConfig, gains: ObserverGains, order: int) -> ObserverLoop:
+    axis = known_numbers(plus)
     return ObserverLoop(
-        peer._replace(pi=PiConfig(proportional, 0.0)),
+        peer._replace(pi=PiConfig(gains.proportional_a_per_rps, 0.0)),
         axis.inertia_nm_s2_per_rev,
-        bandwidth,
+        gains.bandwidth_rad_per_s,
         order,
         axis.delay_s / peer.period_s,
     )
 
 
-def _luenberger_loop(
-    peer: PeerConfig, plus: ControllerConfig, design: PeerDesign, axis: AxisNumbers, friction: FrictionConfig
-) -> LuenbergerLoop:
-    """The faster pole follows from the stiffness of this axis's friction, so that the eigenvalues stay real."""
-    proportional, slow_rad_per_s = _scaled_gains(design, axis, design.friction_state)
+def _luenberger_loop(peer: PeerConfig, plus: ControllerConfig, gains: ObserverGains) -> LuenbergerLoop:
+    axis, friction = known_numbers(plus), plus.observer.friction
     form = friction_form(plus, axis, friction)
+    proportional, slow_rad_per_s = gains.proportional_a_per_rps, gains.bandwidth_rad_per_s
     return LuenbergerLoop(
         peer._replace(pi=PiConfig(proportional, proportional * form.integral_per_s)),
         friction,
@@ -299,11 +290,3 @@ def _luenberger_loop(
         slow_rad_per_s + form.beyond_rad_per_s[-1],
         (axis.delay_s - axis.sensor_delay_s) / peer.period_s,
     )
-
-
-def _scaled_gains(design: PeerDesign, axis: AxisNumbers, gains: ObserverGains) -> tuple[float, float]:
-    """Proportional gain (A/rps) and bandwidth (rad/s) on another axis."""
-    faster = design.nominal.delay_s / axis.delay_s
-    per_torque = design.nominal.torque_constant_nm_per_a / axis.torque_constant_nm_per_a
-    inertia_ratio = axis.inertia_nm_s2_per_rev / design.nominal.inertia_nm_s2_per_rev
-    return gains.proportional_a_per_rps * inertia_ratio * per_torque * faster, gains.bandwidth_rad_per_s * faster

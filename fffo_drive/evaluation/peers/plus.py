@@ -18,7 +18,7 @@ from ...model.axis import AxisConfig
 from ...model.effects.laws.second_surface import SECOND_SURFACE
 from ...model.effects.table import Term
 from .fit import TwoSurfaces
-from .laws import AxisNumbers, PeerDesign, with_friction
+from .laws import AxisNumbers, with_friction
 from .loop import PeerLaw
 from .lugre import LugreConfig
 from .maxwell_slip import SlipConfig
@@ -27,7 +27,7 @@ LARGEST_SPEEDUP = 4.0  # of the loop on the estimated velocity
 
 
 def on_the_estimate(
-    law: PeerLaw, design: PeerDesign, axis: AxisNumbers, bandwidth_hz: float, limits_rps: tuple[float, float]
+    law: PeerLaw, wish: Wish, axis: AxisNumbers, bandwidth_hz: float, limits_rps: tuple[float, float]
 ) -> PeerLaw:
     """A law with the gains of PI+FFFO+, tuned to an axis, on the estimated velocity: without the lag of the drive's.
 
@@ -46,7 +46,6 @@ def on_the_estimate(
         common.period_s, *limits_rps,
     )  # fmt: skip
     linear = LinearAxis(axis.inertia_nm_s2_per_rev, 0.0, delay_s, axis.torque_constant_nm_per_a, estimator=estimator)
-    wish = Wish(phase_margin_deg=design.margins.phase_deg, gain_margin=design.margins.gain)
     proportional, integral = common.pi
 
     def holds(faster: float) -> bool:
