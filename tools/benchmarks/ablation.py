@@ -70,7 +70,7 @@ def variants() -> dict[str, ControllerVariant]:
         "FFFO+inertia+preview": variant("ff", inertia=True, preview=True),
         "FFFO+filter": variant("ff", None, FILTER_S),
         "FFFO+inertia+preview+delay-aware": variant("ff", **every),
-        "FFFO+ (all)": variant("ff", None, FILTER_S, "integral", **every),
+        "FFFO+ (all)": ControllerVariant(toggle="ff"),  # the law of the axis file
         "all, L in the estimate": variant("ff", None, FILTER_S, **every),
         "all, L = 0": variant("ff", 0.0, FILTER_S, "integral", **every),
         "all, L = 10": variant("ff", 10.0, FILTER_S, "integral", **every),

@@ -1,4 +1,5 @@
-"""Table II beside ours, the targets of PI+FFFO+, the influence of the unprinted spectrum, and the speed.
+"""Table II beside ours, the targets of PI+FFFO+ and of what `tune` writes, the influence of the unprinted spectrum,
+and the speed.
 
   .venv/bin/python tools/benchmarks/evaluation.py [--seeds N]
 
@@ -13,10 +14,13 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from chain_files import in_this_process
 from common import made_by
 
 from fffo_drive.cli.progress import progress_bar
+from fffo_drive.config.axis import read_axis
 from fffo_drive.config.scenario import Scenario, cases_of, read_scenario, select_controllers
 from fffo_drive.evaluation.campaign import run_campaign
 from fffo_drive.evaluation.compare import SeedInterval
@@ -24,13 +28,14 @@ from fffo_drive.evaluation.metrics import PAPER_TABLE_2
 from fffo_drive.evaluation.summary import Summary, summarise
 
 HERE = Path(__file__).resolve().parent
-SCENARIOS = HERE.parents[1] / "configs" / "scenarios"
+CONFIGS = HERE.parents[1] / "configs"
+SCENARIOS = CONFIGS / "scenarios"
 PAPER = {name.lower(): name for name in PAPER_TABLE_2}
 METRICS = ("ise", "mae", "max", "std")
 BASE, PLUS = "pi+fffo", "pi+fffo+"
 # figure, most that is allowed: per cent of PI+FFFO; for the lag milliseconds, at a crossing the whole interval counts
 TARGETS = {
-    "true.ise": 5.0,
+    "true.ise": 2.0,
     "true.mae": 20.0,
     "measured.ise": 20.0,
     "measured.mae": 50.0,
@@ -41,6 +46,8 @@ TARGETS = {
     "effort.noise_rms_a": 100.0,
 }
 SLOPES = (0.0, -0.25, -0.5)
+FLAT_ISE_PERCENT = 0.3  # on the flat reference, in place of the above
+AXIS, MODEL = CONFIGS / "axis_simulated.yaml", CONFIGS / "models" / "table1.yaml"
 MANY_SEEDS = 50
 
 
@@ -79,6 +86,24 @@ def with_slope(scenario: Scenario, slope: float) -> Scenario:
     return scenario._replace(file=scenario.file.model_copy(update={"reference": reference}))
 
 
+def tuned(scenario: Scenario, place: Path) -> Scenario:
+    """The scenario on the axis file that `tune MODEL --axis AXIS` writes; PI+FFFO keeps the paper's gains."""
+    in_this_process("tune", MODEL, "--axis", AXIS, "--out", place)
+    paper = scenario.axis.controller
+    gains = {
+        "proportional_a_per_rps": paper.proportional_a_per_rps,
+        "integral_a_per_rev": paper.integral_a_per_rev,
+        "gain_nm_per_rev": paper.observer.gain_nm_per_rev,
+    }
+    controllers = {
+        BASE: scenario.file.controllers[BASE].model_copy(update=gains),
+        PLUS: scenario.file.controllers[PLUS],
+    }
+    file = scenario.file.model_copy(update={"controllers": controllers})
+    path = place / AXIS.name
+    return scenario._replace(file=file, axis_path=path, axis=read_axis(path))
+
+
 def text(interval: SeedInterval, digits: int = 1) -> str:
     """12.3 [11.0, 13.6]"""
     return f"{interval.value:.{digits}f} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
@@ -109,10 +134,10 @@ def order(summary: Summary) -> str:
     return ", ".join(said)
 
 
-def targets(summary: Summary) -> list[str]:
+def targets(summary: Summary, flat: bool = True) -> list[str]:
     """What PI+FFFO+ must reach, and what it does."""
     lines = ["| figure | PI+FFFO+ | at most | PI+FFFO | reached |", "|---|---|---|---|---|"]
-    for name, most in TARGETS.items():
+    for name, most in (TARGETS | ({"true.ise": FLAT_ISE_PERCENT} if flat else {})).items():
         comparison = summary.figures.get(name)
         if comparison is None:
             lines.append(f"| {name} | – | {most:g} | – | no: some runs have none |")
@@ -146,6 +171,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for file in ("paper_wrong_friction", "paper_single_surface"):
         summary, _ = evaluate(read_scenario(SCENARIOS / f"{file}.yaml"), options.seeds)
         lines += [f"## Targets: configs/scenarios/{file}.yaml, {len(summary.seeds)} seeds", "", *targets(summary)]
+    with TemporaryDirectory(prefix="tuned_") as place:
+        written = tuned(read_scenario(SCENARIOS / "paper_wrong_friction.yaml"), Path(place))
+        for slope in (SLOPES[0], SLOPES[-1]):
+            summary, _ = evaluate(with_slope(written, slope), options.seeds)
+            lines += [f"## What `tune` writes for the same axis, slope {slope:g}, {len(summary.seeds)} seeds", ""]
+            lines += targets(summary, flat=slope == 0.0)
     lines += [
         "## Influence of the spectrum, which the paper does not print",
         "",
@@ -161,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         reversals = found.figure("measured.lag.reversals", BASE)
         wrong = select_controllers(read_scenario(SCENARIOS / "paper_wrong_friction.yaml"), [BASE, PLUS])
         reached, _ = evaluate(with_slope(wrong, slope), options.seeds)
-        lines += [f"### slope {slope:g}: {reversals:.0f} reversals", "", *table_2(found), *targets(reached)]
+        lines += [f"### slope {slope:g}: {reversals:.0f} reversals", "", *table_2(found), *targets(reached, flat=False)]
     before_s = processor_s()
     many, seconds = evaluate(read_scenario(SCENARIOS / "paper.yaml"), MANY_SEEDS if options.seeds is None else 5)
     spent_s = processor_s() - before_s

@@ -1,9 +1,10 @@
-"""The benefit of an estimated velocity: PI+FFFO+ on the drive's velocity and on the estimate, same gains or margins.
+"""The benefit of an estimated velocity: what `tune` writes for the drive's velocity and for the estimate, same margins.
 
   .venv/bin/python tools/benchmarks/velocity.py [--seeds N] [--duration-s S]
 
 The paper's scenario with friction 10 % wrong, with a flat reference and with f^-0.5, on two tracking loops of the drive
-(the end-to-end delay is 3 ms with both). Writes results/velocity.md beside this file.
+(the end-to-end delay is 3 ms with both). Each law is an axis file that `tune` wrote for the example's axis file with
+this `velocity:` section, run as it is. Writes results/velocity.md beside this file.
 """
 
 from __future__ import annotations
@@ -11,32 +12,37 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
+from chain_files import tuned_file
 from common import RESULTS, ROOT, made_by, progress_bar
 
+from fffo_drive.config.axis import AxisFile, read_axis
 from fffo_drive.config.checks import law_margins, rest_margins
-from fffo_drive.config.scenario import ControllerVariant, Scenario, axis_of, cases_of, read_scenario
+from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
 from fffo_drive.config.sections import VelocitySection
 from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS
-from fffo_drive.control.stability import Margins
 from fffo_drive.evaluation.campaign import Case, simulate, warm_up
 from fffo_drive.evaluation.compare import MetricComparison, compare_metric
 from fffo_drive.evaluation.measures import measure
 from fffo_drive.evaluation.reversal import FAST_RPS2
 from fffo_drive.evaluation.trace import trace_of
 from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.model.parameters import write_model
 from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper_wrong_friction.yaml"
 TRACKING_HZ = {"fast sensor": 400.0, "slow sensor": 179.0}  # the second one lags by 1.6 ms
 SLOPES = {"flat": 0.0, "f^-0.5": -0.5}
 BANDWIDTHS_HZ = (100.0, 200.0, 300.0, 390.0)
+DEFAULT_HZ = VelocitySection().bandwidth_hz
 WRONG_INERTIA = (0.7, 1.4)  # of the model
 BASE, PLUS = "PI+FFFO, drive", "PI+FFFO+, drive"
-FILTER_S = 0.0002  # of the error, as in the scenarios
-LARGEST_SCALE, SCALE_STEPS = 4.0, 40
+ESTIMATED = "estimated"
 SEEDS, DURATION_S = 6, 40.0
 
 
@@ -47,22 +53,6 @@ class Found(NamedTuple):
     crossing_mrps: float  # mean magnitude of the true error at slow reversals
     step_rms_a: float  # of the command, from tick to tick
     estimated_share: float  # of the ticks in which the error took the estimate
-
-
-def plus(bandwidth_hz: float | None = None, scale: float = 1.0, filter_s: float = FILTER_S) -> ControllerVariant:
-    """PI+FFFO+ with all frequencies of the loop so many times as high: Kp by `scale`, Ki and L by its square."""
-    section = read_scenario(SCENARIO).axis.controller
-    velocity = VelocitySection() if bandwidth_hz is None else VelocitySection(
-        source="estimated", bandwidth_hz=bandwidth_hz
-    )  # fmt: skip
-    return ControllerVariant(
-        toggle="ff",
-        proportional_a_per_rps=scale * section.proportional_a_per_rps,
-        integral_a_per_rev=scale**2 * section.integral_a_per_rev,
-        gain_nm_per_rev=scale**2 * section.observer.gain_nm_per_rev,
-        error_filter_s=filter_s,
-        velocity=velocity,
-    )
 
 
 def with_sensor(tracking_hz: float, slope: float, duration_s: float, seeds: int) -> Scenario:
@@ -80,35 +70,26 @@ def with_sensor(tracking_hz: float, slope: float, duration_s: float, seeds: int)
     )
 
 
-def margins_of(scenario: Scenario, variant: ControllerVariant) -> tuple[Margins, Margins]:
-    """In motion, and at rest on the contact's spring."""
-    one = scenario._replace(file=scenario.file.model_copy(update={"controllers": {"one": variant}}))
-    axis = axis_of(one, "one")
-    return law_margins(axis, scenario.model, True), rest_margins(axis, scenario.model)
+def tuned(scenario: Scenario, law: dict[str, Any]) -> AxisFile:
+    """What `tune` writes for the example's axis file with these keys of its law, and the scenario's model."""
+    with TemporaryDirectory(prefix="tuned_") as place:
+        data = yaml.safe_load(scenario.axis_path.read_text(encoding="utf-8"))
+        data["controller"] |= law
+        data["drive"]["file"] = str(scenario.axis_path.parent / data["drive"]["file"])
+        axis, model = Path(place) / "axis.yaml", Path(place) / "model.yaml"
+        write_model(model, scenario.model)
+        axis.write_text(yaml.safe_dump(data | {"model": model.name}), encoding="utf-8")
+        return read_axis(tuned_file(axis, model))
 
 
-def retuned(scenario: Scenario, bandwidth_hz: float, filter_s: float) -> float:
-    """The largest scale of the gains with no margin smaller than with the drive's velocity, in motion and at rest."""
-    wanted = margins_of(scenario, plus())
-    found = 0.0
-    for scale in np.linspace(0.5, LARGEST_SCALE, round((LARGEST_SCALE - 0.5) * SCALE_STEPS) + 1):
-        margins = margins_of(scenario, plus(bandwidth_hz, float(scale), filter_s))
-        pairs = zip(margins, wanted, strict=True)
-        if all(own.phase_deg >= base.phase_deg and own.gain >= base.gain for own, base in pairs):
-            found = float(scale)
-    return found
-
-
-def variants(scenario: Scenario) -> dict[str, ControllerVariant]:
+def laws(scenario: Scenario) -> dict[str, AxisFile]:
     """Everything that is compared on one sensor."""
-    found = {BASE: ControllerVariant(law="paper", toggle="ff"), PLUS: plus()}
+    found = {BASE: scenario.axis, PLUS: tuned(scenario, {})}
     for bandwidth_hz in BANDWIDTHS_HZ:
-        found[f"estimated {bandwidth_hz:g} Hz, same gains"] = plus(bandwidth_hz)
-    for filter_s in (FILTER_S, 0.0):
-        for bandwidth_hz in BANDWIDTHS_HZ[1:]:
-            scale = retuned(scenario, bandwidth_hz, filter_s)
-            text = f"estimated {bandwidth_hz:g} Hz, same margins{'' if filter_s else ', no filter'} (x {scale:.2f})"
-            found[text] = plus(bandwidth_hz, scale, filter_s)
+        velocity = {"source": "estimated", "bandwidth_hz": bandwidth_hz}
+        found[f"{ESTIMATED} {bandwidth_hz:g} Hz"] = tuned(scenario, {"velocity": velocity})
+        without = tuned(scenario, {"velocity": velocity, "error_filter_s": 0.0})
+        found[f"{ESTIMATED} {bandwidth_hz:g} Hz, no filter"] = without
     return found
 
 
@@ -132,15 +113,18 @@ def run_case(case: Case) -> dict[str, Found]:
     return found
 
 
-def evaluate(scenario: Scenario, controllers: dict[str, ControllerVariant], text: str) -> dict[str, list[Found]]:
-    """All controllers on all seeds."""
-    scenario = scenario._replace(file=scenario.file.model_copy(update={"controllers": controllers, "percent_of": None}))
-    cases = list(cases_of(scenario))
-    warm_up(cases[0])
+def evaluate(scenario: Scenario, axes: dict[str, AxisFile], text: str) -> dict[str, list[Found]]:
+    """All laws on all seeds."""
+    jobs = []
+    for name, axis in axes.items():
+        variant = ControllerVariant(law="paper" if name == BASE else "axis", toggle="ff")
+        file = scenario.file.model_copy(update={"controllers": {name: variant}, "percent_of": None})
+        jobs += cases_of(scenario._replace(axis=axis, file=file))
+    warm_up(jobs[0])
     with progress_bar(text) as progress:
-        done = None if progress is None else (lambda number: progress(number / len(cases)))
-        found = over_cores(run_case, cases, progress=done)
-    return {name: [one[name] for one in found] for name in controllers}
+        done = None if progress is None else (lambda number: progress(number / len(jobs)))
+        found = over_cores(run_case, jobs, progress=done)
+    return {name: [one[name] for one in found if name in one] for name in axes}
 
 
 def percent(comparison: MetricComparison, name: str) -> str:
@@ -153,8 +137,8 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
     """Markdown of one sensor."""
     scenarios = {text: with_sensor(TRACKING_HZ[sensor], slope, duration_s, seeds) for text, slope in SLOPES.items()}
     first = next(iter(scenarios.values()))
-    controllers = variants(first)
-    runs = {text: evaluate(one, controllers, f"{sensor}, {text}") for text, one in scenarios.items()}
+    axes = laws(first)
+    runs = {text: evaluate(one, axes, f"{sensor}, {text}") for text, one in scenarios.items()}
     ises = {
         (text, base): compare_metric(
             {name: np.array([run.true_ise for run in own]) for name, own in found.items()}, base
@@ -169,23 +153,25 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
         f"| controller | {heads} | phase, gain margin | at rest |",
         "|---|" + 4 * "---|" * len(runs) + "---|---|",
     ]
-    for name, variant in controllers.items():
+    for name, axis in axes.items():
         cells = []
         for text, found in runs.items():
             ran = Found(*np.mean(found[name], axis=0))
             percents = [percent(ises[text, base], name) for base in (BASE, PLUS)]
             cells += [*percents, f"{ran.crossing_mrps:.2f}", f"{1e3 * ran.step_rms_a:.1f}"]
-        moving, resting = margins_of(first, variant)
-        cells += [f"{one.phase_deg:.1f} deg, {one.gain:.2f}" for one in (moving, resting)]
+        margins = law_margins(axis, first.model, True), rest_margins(axis, first.model)
+        cells += [f"{one.phase_deg:.1f} deg, {one.gain:.2f}" for one in margins]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    shares = [run.estimated_share for found in runs.values() for name in found for run in found[name] if "est" in name]
+    shares = [
+        run.estimated_share for found in runs.values() for name in found for run in found[name] if ESTIMATED in name
+    ]
     return [*lines, "", f"The estimate was in use in at least {min(shares):.2%} of the ticks of a run.", ""]
 
 
 def wrong_inertia(sensor: str, duration_s: float, seeds: int) -> list[str]:
     """Markdown of one sensor: a model with another inertia, which feed-forward and estimate believe alike."""
     right = with_sensor(TRACKING_HZ[sensor], SLOPES["flat"], duration_s, seeds)
-    controllers = {name: one for name, one in variants(right).items() if name == PLUS or "no filter" in name}
+    axes = {name: axis for name, axis in laws(right).items() if name != BASE}
     lines = [
         f"## {sensor}, flat: inertia of the model wrong",
         "",
@@ -196,11 +182,11 @@ def wrong_inertia(sensor: str, duration_s: float, seeds: int) -> list[str]:
     for factor in WRONG_INERTIA:
         mismatch = right.file.mismatch.model_copy(update={"factors": {"inertia_kg_m2": factor}})
         scenario = right._replace(file=right.file.model_copy(update={"mismatch": mismatch}))
-        runs = evaluate(scenario, controllers, f"{sensor}, J x {factor:g}")
+        runs = evaluate(scenario, axes, f"{sensor}, J x {factor:g}")
         found.append(
             compare_metric({name: np.array([run.true_ise for run in own]) for name, own in runs.items()}, PLUS)
         )
-    lines += [f"| {name} | " + " | ".join(percent(one, name) for one in found) + " |" for name in controllers]
+    lines += [f"| {name} | " + " | ".join(percent(one, name) for one in found) + " |" for name in axes]
     return [*lines, ""]
 
 
@@ -215,10 +201,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "",
         f"{options.seeds} seeds of {options.duration_s:g} s each, friction 10 % wrong with random signs,",
         "five surfaces, 3 ms end to end. True ISE in per cent of PI+FFFO and of PI+FFFO+ on the drive's velocity, 95 %",
-        "intervals over resampled seeds. Same margins: Kp times x, Ki and L times x^2, the largest x with no margin",
-        "smaller than that of PI+FFFO+ on the drive's velocity, in motion and at rest; each margin is the smaller",
-        "one of the two cuts (fffo_drive/control/stability.py). 200 Hz is the default. At the crossing: mean magnitude",
-        f"of the true error at reversals slower than {FAST_RPS2:g} rps/s.",
+        "intervals over resampled seeds. PI+FFFO has the paper's gains; each other law is the axis file that `tune`",
+        "wrote for the example's with this `velocity:` section; no filter: with `error_filter_s: 0` too. Each margin",
+        "is the smaller one of the two cuts (fffo_drive/control/stability.py).",
+        f"{DEFAULT_HZ:g} Hz is the default. At the crossing: mean magnitude of the true error at reversals slower than",
+        f"{FAST_RPS2:g} rps/s.",
         "",
     ]
     for sensor in TRACKING_HZ:
