@@ -275,8 +275,8 @@ def run_axis(task: AxisTask) -> OnAxis:
     typed = typed_law(axis) if task.typed else None
     try:
         return OnAxis(task.number, "", run_all(task.scenario, axis.plant, models, seed, typed))
-    except DocumentError as error:
-        return OnAxis(task.number, str(error), {})
+    except (DocumentError, ValueError) as error:  # no gains have the margins
+        return OnAxis(task.number, str(error).splitlines()[0], {})
 
 
 def axis_runs(scenario: Scenario, ground: Ground, sizes: Sizes) -> tuple[list[OnAxis], list[OnAxis]]:
