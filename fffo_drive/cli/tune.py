@@ -18,7 +18,7 @@ from ..config.axis import default_axis, hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import NOT_COMMISSIONED, commissioned
 from ..config.sections import ControllerSection
 from ..documents import DocumentError
-from ..identification.tuning import Wish
+from ..identification.tuning import Wish, notch_text
 from ..model.parameters import read_model
 from ..report.page import refuse_other_report, write_report
 from ..report.tune import TuneSource, estimate_text, range_text, tune_report
@@ -115,7 +115,7 @@ def execute(options: argparse.Namespace) -> int:
         written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model)))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands, more)
-    tuning = Tuning(tuned.axis, found, wish, model.friction_config())
+    tuning = Tuning(tuned.axis, found, wish, model.friction_config(), tuned.by_notches)
     page = tune_report(source, tuning, result)
     paths = write_report(page, out)
     if options.svg:
@@ -173,6 +173,7 @@ def _lines(tuning: Tuning) -> list[str]:
         f"Kp {g.proportional_a_per_rps:.4g} A/rps, Ki {g.integral_a_per_rev:.4g} A/rev, "
         f"L {g.observer_nm_per_rev:.4g} Nm/rev",
         *margins,
+        *filter(None, [notch_text(tuning.axis, tuning.by_notches)]),
         f"(14): Ki Kt + L - 2 B = {found.condition_14_nm_per_rev:.3g} Nm/rev; "
         f"real poles from Kp {found.real_poles_from_a_per_rps:.3g} A/rps",
         f"step: overshoot {found.overshoot_percent:.1f} %, at worst {tuning.worst_overshoot_percent:.1f} % with the "

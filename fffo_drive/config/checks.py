@@ -8,13 +8,22 @@ from pathlib import Path
 
 from ..can.load import Chain, Load
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
-from ..control.stability import Margins, condition_14_nm_per_rev, loop_delay_s, loop_margins, stuck_axes, worst_margins
+from ..control.stability import (
+    RIGID,
+    Margins,
+    condition_14_nm_per_rev,
+    loop_delay_s,
+    loop_margins,
+    stuck_axes,
+    worst_margins,
+)
 from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
 from ..drive.canopen.config import HOST_S, ONE_MASTER, chain_of, load_of
 from ..drive.canopen.object_map import MappingError
 from ..drive.canopen.silence import LIFE_GUARDING
 from ..identification.excitation import predict_motion
+from ..identification.tuning import resonance_text
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
 from .axis import AxisFile, hold_dead_band_rev, loop_axis
@@ -136,16 +145,18 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
                 f"Ki Kt + L >= 2 B: at least {needed:.3g} Nm/rev is needed with this integral gain"
             )
     margins = law_margins(axis, model, observer_on)
+    elastic = loop_axis(axis, model)
+    notch = f". With {resonance_text(elastic)}: `fffo-drive tune` chooses a notch" if elastic.elastic != RIGID else ""
     if margins.phase_deg < section.phase_margin_deg:
         problems.append(
             f"controller: phase margin {margins.phase_deg:.1f} deg with {_delay_ms(axis, model):g} ms delay is "
             f"below phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, "
-            "integral_a_per_rev or proportional_a_per_rps"
+            f"integral_a_per_rev or proportional_a_per_rps{notch}"
         )
     if margins.gain < section.gain_margin:
         problems.append(
             f"controller: gain margin {margins.gain:.2f} is below gain_margin {section.gain_margin:g}: lower "
-            "proportional_a_per_rps"
+            f"proportional_a_per_rps{notch}"
         )
     problems += fallback_problems(axis, model, observer_on)
     at_rest = rest_margins(axis, model)

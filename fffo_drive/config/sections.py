@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, field_validator, model_validator
 
+from ..control.notch import HIGHEST_NOTCH_SHARE, MOST_NOTCHES
 from ..documents import StrictRecord
 from ..formats import PAPER_LAW, over
 from .address import Listen
@@ -24,8 +25,6 @@ PROFILE_KIND = Field(description="kind of profile; it determines the other keys"
 
 
 LEAST_PERIODS = 2  # of a profile: it has a slope
-MOST_NOTCHES = 2  # as many as control.notch has in a row
-HIGHEST_NOTCH_SHARE = 0.4  # of the loop's rate: nearer to half of it a sampled notch has no width
 
 
 class ObserverSection(StrictRecord):

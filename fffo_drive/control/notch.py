@@ -18,14 +18,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import NamedTuple
 
 from ..jit import njit
 
-Complexes = npt.NDArray[np.complexfloating[Any, Any]]
+MOST_NOTCHES = 2
+HIGHEST_NOTCH_SHARE = 0.4  # of the loop's rate: nearer to half of it a sampled notch has no width
 
 
 class Notch(NamedTuple):
@@ -85,20 +83,10 @@ def section_config(notch: Notch, period_s: float) -> SectionConfig:
 
 
 def notch_config(notches: Sequence[Notch], period_s: float) -> NotchConfig:
-    """The notches of a law, two at most, at the period of the loop."""
+    """The notches of a law, at most MOST_NOTCHES, at the period of the loop."""
     sections = [section_config(notch, period_s) for notch in notches]
-    first, second = sections + [PASSES] * (2 - len(sections))
+    first, second = sections + [PASSES] * (MOST_NOTCHES - len(sections))
     return NotchConfig(bool(sections), first, second)
-
-
-def notch_response(notches: Sequence[Notch], s: Complexes, period_s: float) -> Complexes:
-    """Frequency response of the sampled notches in a row; s = j omega and the result (n,)."""
-    found = np.ones_like(s)
-    z = np.exp(-s * period_s)
-    for notch in notches:
-        direct, middle, last, back = section_config(notch, period_s)
-        found = found * (direct + z * (middle + z * last)) / (1.0 + z * (middle + z * back))
-    return found
 
 
 @njit

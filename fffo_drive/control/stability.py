@@ -8,7 +8,8 @@ open loop in torque units is
 with k = 0 in sliding. At rest the contact sticks: k is its stiffness, and what it takes away by hysteresis is left out,
 which is the safe side. Above the resonance the delay turns the damping of Kp into its opposite: an axis whose margin
 there is negative shakes at rest, whatever its margins in motion are. A part of the inertia may hang on a spring.
-Low-pass and notches of the error multiply the controller; the position hold at rest does not pass them.
+Low-pass and notches of the error multiply the controller; the position hold at rest does not pass them. A resonance is
+known only so well: margins are the smallest ones over where it may be.
 
 With an estimated velocity the delay is shorter by the lag of the drive's own. But the estimate also knows the command,
 beside the axis: with a plant P, and the estimate H p + U i of position and command, the loop is cut at the velocity,
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +33,8 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..model.friction import FrictionConfig, steady_friction_nm
 from ..model.parameters import ModelFile
-from .notch import Notch, notch_response
+from ..units import NORMAL_95
+from .notch import Notch, section_config
 from .position_hold import held_travel_rev
 from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
 
@@ -42,6 +44,9 @@ ELASTIC_PARAMETERS = ("share", "frequency_hz", "damping")  # of the effect elast
 SWEEP_LOW_HZ = 1e-2
 SWEEP_HIGH_HZ = 1e4
 SWEEP_POINTS = 20_000
+RESONANCE_SPREAD = 0.1  # of a resonance, either way, unless its interval is wider: load, wear and temperature move it
+LARGEST_SPREAD = 0.5  # a resonance that is known less well is not known
+RESONANCES = 5  # that stand for a spread
 STICK_SLIP_SPEEDS = np.geomspace(0.05, 5.0, 25)  # over the Stribeck velocity: the range in which the curve falls
 SLOPE_STEP = 1e-3  # of the speed, for the slope of the Stribeck curve
 
@@ -70,6 +75,7 @@ class LinearAxis(NamedTuple):
     error_filter_s: float = 0.0  # time constant of the error's low-pass
     notches: tuple[Notch, ...] = ()  # on the error
     period_s: float = 0.0  # of the loop, in which the notches are sampled
+    resonance_spread: float = 0.0  # share by which the resonance of the elastic load may differ, either way
 
 
 class Margins(NamedTuple):
@@ -100,38 +106,94 @@ def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
     return impedance
 
 
+def notch_response(notches: Sequence[Notch], s: Complexes, period_s: float) -> Complexes:
+    """Frequency response of the sampled notches in a row; s = j omega and the result (n,)."""
+    found = np.ones_like(s)
+    z = np.exp(-s * period_s)
+    for notch in notches:
+        direct, middle, last, back = section_config(notch, period_s)
+        found = found * (direct + z * (middle + z * last)) / (1.0 + z * (middle + z * back))
+    return found
+
+
 def error_response(axis: LinearAxis, s: Complexes) -> Complexes:
     """Low-pass and notches of the error; s = j omega and the result (n,)."""
     return notch_response(axis.notches, s, axis.period_s) / (1.0 + axis.error_filter_s * s)
+
+
+def over_resonances(axis: LinearAxis) -> tuple[LinearAxis, ...]:
+    """The axis with the resonances that stand for the spread of its own; the axis itself where there is none."""
+    spread = axis.resonance_spread
+    if spread == 0.0 or axis.elastic.share == 0.0:
+        return (axis,)
+    alone = axis._replace(resonance_spread=0.0)
+    return tuple(
+        alone._replace(elastic=axis.elastic._replace(frequency_hz=factor * axis.elastic.frequency_hz))
+        for factor in np.linspace(1.0 - spread, 1.0 + spread, RESONANCES).tolist()
+    )
+
+
+class OpenLoop:
+    """The open loop of one axis but for its gains, of which a design tries hundreds."""
+
+    def __init__(self, axis: LinearAxis, stride: int = 1, velocity_rps_per_nm: Complexes | None = None) -> None:
+        """On each `stride`-th frequency. `velocity_rps_per_nm`: of the axis there, where it is known already."""
+        omega = sweep_rad_per_s(axis.estimator)[::stride]
+        s = 1j * omega
+        self.axis = axis
+        self._stride, self._omega = stride, omega
+        self._plant = 1.0 / impedance_nm_per_rps(axis, s) if velocity_rps_per_nm is None else velocity_rps_per_nm
+        self._of_error = error_response(axis, s)
+        whole = self._of_error * self._plant
+        self._magnitude, self._phase = np.abs(whole), np.unwrap(np.angle(whole)) - omega * axis.delay_s
+
+    def behind(self, notches: tuple[Notch, ...]) -> OpenLoop:
+        """The same with these notches."""
+        return OpenLoop(self.axis._replace(notches=notches), self._stride, self._plant)
+
+    def margins(
+        self, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
+        hold_a_per_rev_s: float = 0.0,
+    ) -> Margins:  # fmt: skip
+        """Phase and gain margin of PI plus observer; `hold_a_per_rev_s` as in `loop_margins`."""
+        axis, omega, kt = self.axis, self._omega, self.axis.torque_constant_nm_per_a
+        proportional, integral = proportional_a_per_rps * kt, integral_a_per_rev * kt + observer_gain_nm_per_rev
+        if axis.estimator is None and hold_a_per_rev_s == 0.0:
+            turning = integral / omega
+            phase = self._phase - np.arctan2(turning, proportional)
+            return _crossings(omega, self._magnitude * np.hypot(proportional, turning), phase)
+        s = 1j * omega
+        controller = (proportional + integral / s) * self._of_error
+        hold = hold_a_per_rev_s * kt / (s * s)
+        if axis.estimator is None:
+            return margins_of(omega, (controller + hold) * self._plant, axis.delay_s)
+        of_position_per_s, of_command_rps_per_a = (part[:: self._stride] for part in _response(axis.estimator))
+        by_position = (of_position_per_s / s * controller + hold) * np.exp(-s * axis.delay_s) * self._plant
+        by_command = of_command_rps_per_a * controller / kt
+        at_velocity = margins_of(omega, by_position + by_command, 0.0)
+        at_current = margins_of(omega, by_position / (1.0 + by_command), 0.0)
+        return Margins(
+            min(at_velocity.phase_deg, at_current.phase_deg),
+            min(at_velocity.gain, at_current.gain),
+            at_velocity.crossover_hz,
+        )
+
+
+def open_loops(axis: LinearAxis, stride: int = 1) -> list[OpenLoop]:
+    """The loops over which the margins of an axis are the smallest ones."""
+    return [OpenLoop(one, stride) for one in over_resonances(axis)]
 
 
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
     hold_a_per_rev_s: float = 0.0,
 ) -> Margins:  # fmt: skip
-    """Phase and gain margin of PI plus observer on the linearised axis, with its delay and its filter.
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay, its filter and its notches.
 
     `hold_a_per_rev_s`: the integral of the position at rest. The position is no older than the velocity.
     """
-    omega = sweep_rad_per_s(axis.estimator)
-    s = 1j * omega
-    kt = axis.torque_constant_nm_per_a
-    controller = proportional_a_per_rps * kt + (integral_a_per_rev * kt + observer_gain_nm_per_rev) / s
-    controller = controller * error_response(axis, s)
-    impedance = impedance_nm_per_rps(axis, s)
-    hold = hold_a_per_rev_s * kt / (s * s)
-    if axis.estimator is None:
-        return margins_of(omega, (controller + hold) / impedance, axis.delay_s)
-    known = _response(axis.estimator)
-    by_position = (known.of_position_per_s / s * controller + hold) * np.exp(-s * axis.delay_s) / impedance
-    by_command = known.of_command_rps_per_a * controller / kt
-    at_velocity = margins_of(omega, by_position + by_command, 0.0)
-    at_current = margins_of(omega, by_position / (1.0 + by_command), 0.0)
-    return Margins(
-        min(at_velocity.phase_deg, at_current.phase_deg),
-        min(at_velocity.gain, at_current.gain),
-        at_velocity.crossover_hz,
-    )
+    gains = proportional_a_per_rps, integral_a_per_rev, observer_gain_nm_per_rev, hold_a_per_rev_s
+    return worst_margins(loop.margins(*gains) for loop in open_loops(axis))
 
 
 @functools.lru_cache(maxsize=8)  # a design evaluates the same filter some hundred times
@@ -157,12 +219,17 @@ def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
     phase = np.unwrap(np.angle(rational))
     if phase[0] > 0.75 * math.pi:  # two integrators and a lag begin below -180 degrees, not below +180
         phase -= 2.0 * math.pi
-    phase_deg = np.degrees(phase - omega * delay_s)
+    return _crossings(omega, magnitude, phase - omega * delay_s)
 
+
+def _crossings(omega: Floats, magnitude: Floats, phase: Floats) -> Margins:
+    """Margins of an open loop, arrays (n,); phase in radians, from where the loop begins down without a jump."""
+    phase_deg = np.degrees(phase)
     below = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
     phase_margin_deg = min((180.0 + float(phase_deg[i]) for i in below), default=math.inf)
-    # the gain margin counts downward crossings of -180 degrees, where more gain encircles -1
-    beyond = np.flatnonzero((phase_deg[:-1] > -180.0) & (phase_deg[1:] <= -180.0))
+    # the gain margin counts downward crossings of -180 degrees, and of each turn below, where more gain encircles -1
+    turns = np.ceil((phase_deg + 180.0) / 360.0)
+    beyond = np.flatnonzero((turns[1:] < turns[:-1]) & (turns[1:] <= 0.0))
     gain_margin = min((1.0 / float(magnitude[i]) for i in beyond), default=math.inf)
     crossover_hz = float(omega[below[-1]] / (2.0 * math.pi)) if below.size else math.nan
     return Margins(phase_margin_deg, gain_margin, crossover_hz)
@@ -194,13 +261,18 @@ def linear_axis(
         estimator = None
     config = model.axis_config()
     elastic = [effect for effect in model.effects if effect.name == "elasticity"]
-    found = ElasticLoad(*(elastic[0].parameters[name].value for name in ELASTIC_PARAMETERS)) if elastic else RIGID
+    found, spread = RIGID, 0.0
+    if elastic:
+        share, resonance, damping = (elastic[0].parameters[name] for name in ELASTIC_PARAMETERS)
+        found = ElasticLoad(share.value, resonance.value, damping.value)
+        spread = max(RESONANCE_SPREAD, min(NORMAL_95 * (resonance.sd or 0.0) / resonance.value, LARGEST_SPREAD))
     return LinearAxis(
         config.inertia_nm_s2_per_rev,
         config.friction.viscous_nm_per_rps,
         loop_delay_s(model, period_s, estimator is not None),
         config.torque_constant_nm_per_a,
         elastic=found if found.share > 0.0 else RIGID,
+        resonance_spread=spread if found.share > 0.0 else 0.0,
         estimator=estimator,
         error_filter_s=error_filter_s,
         period_s=period_s,

@@ -6,7 +6,8 @@ import difflib
 from typing import Any, NamedTuple
 
 from ..config.axis import TOGGLES, AxisFile
-from ..config.sections import MOST_NOTCHES, ControllerSection, NotchSection, notch_problem
+from ..config.sections import ControllerSection, NotchSection, notch_problem
+from ..control.notch import MOST_NOTCHES
 from ..documents import DocumentError, check, location_of
 from ..model.parameters import ModelFile, content_hash
 from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems

@@ -8,10 +8,15 @@ The margins are the constraint, and within them integral action is maximised. (1
 for an estimate without delay, while a loop without phase margin oscillates. The correction goes to the integral, where
 (14) does not apply; a design that violates it says so. At rest the contact sticks and the axis is a different plant: Kp
 and Ki are scaled until the margin on that spring holds too.
+
+A resonance near the frequency where the delay has turned the phase by 180 degrees leaves a loop that is several times
+slower. There a notch is chosen, or two, by trial on the frequency response: where it allows more integral action by a
+worthwhile factor, over all places in which the resonance may be.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -19,7 +24,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..control.stability import LinearAxis, Margins, condition_14_nm_per_rev, loop_margins, worst_margins
+from ..control.notch import HIGHEST_NOTCH_SHARE, MOST_NOTCHES, Notch
+from ..control.stability import (
+    RIGID,
+    LinearAxis,
+    Margins,
+    OpenLoop,
+    condition_14_nm_per_rev,
+    impedance_nm_per_rps,
+    loop_margins,
+    open_loops,
+    sweep_rad_per_s,
+    worst_margins,
+)
 
 DAMPING_RATIO = 2.0  # of the desired closed loop: real poles with margin for friction; the paper's loop has 1.96
 REST_MARGIN_DEG = 20.0  # at rest, on the contact's spring; hysteresis adds to it (results/chain.md)
@@ -34,6 +51,15 @@ BANDWIDTHS = 41
 SLOWEST_SHARE = 0.01  # of the fastest crossover: a slower loop is useless
 HALVINGS = 14  # of the range of a gain: to a ten-thousandth of the most
 STEP_POINTS = 4000
+
+NOTCH_GAIN = 1.2  # times the integral action that a notch has to allow: each costs phase, and one more thing to know
+PEAK = 1.1  # of the response over that of the whole inertia, from which on it is a resonance
+NOTCH_PLACES = (0.85, 1.0, 1.15)  # of the resonance
+NOTCH_WIDTHS = (0.3, 0.6, 1.0, 1.6, 2.5)
+NOTCH_DEPTHS = (0.03, 0.1, 0.2, 0.35, 0.5)
+NOTCH_STEPS = (1.04, 1.2, 1.3)  # of place, width and depth, when the best of these is made better
+# of a trial: a coarser sweep, still five points within the half width of a resonance with a damping ratio of 0.01
+TRIAL_STRIDE, TRIAL_BANDWIDTHS, TRIAL_HALVINGS = 4, 13, 7
 
 
 class Wish(NamedTuple):
@@ -135,26 +161,139 @@ def gains_in_motion(axis: LinearAxis, wish: Wish) -> tuple[float, float, float]:
     has the margins, Ki is lowered until one has them, with L = 0: where viscous friction is far beyond what inertia
     takes, the damping ratio alone would allow any Ki. If that does not help either, the slowest crossover.
     """
-    if wish.bandwidth_hz is not None:
-        crossovers_hz = np.array([wish.bandwidth_hz])
-    else:
-        fastest_hz = 90.0 / 360.0 / max(axis.delay_s, SHORTEST_DELAY_S)  # the delay alone takes 90 deg there
-        crossovers_hz = fastest_hz * np.geomspace(1.0, SLOWEST_SHARE, BANDWIDTHS)
-    found = [_gains_at(axis, float(crossover_hz), wish.damping_ratio) for crossover_hz in crossovers_hz]
+    loops = open_loops(axis)
+    found = [
+        _gains_at(axis, crossover_hz, wish.damping_ratio) for crossover_hz in _crossovers_hz(axis, wish, BANDWIDTHS)
+    ]
     held = [
-        (proportional, integral, observer_gain(axis, proportional, integral, wish))
+        (proportional, integral, observer_gain(loops, proportional, integral, wish))
         for proportional, integral in found
-        if _holds(axis, proportional, integral, 0.0, wish)
+        if _holds(loops, proportional, integral, 0.0, wish)
     ]
     if not held:
-        lowered = [(gains[0], _integral_that_holds(axis, *gains, wish), 0.0) for gains in found]
+        lowered = [(gains[0], _integral_that_holds(loops, *gains, wish), 0.0) for gains in found]
         held = [gains for gains in lowered if gains[1] > 0.0]
     kt = axis.torque_constant_nm_per_a
     return max(held, key=lambda gains: gains[1] * kt + gains[2], default=(*found[-1], 0.0))
 
 
-def _holds(axis: LinearAxis, proportional: float, integral: float, observer: float, wish: Wish) -> bool:
-    return wish.is_met(loop_margins(axis, proportional, integral, observer))
+def _crossovers_hz(axis: LinearAxis, wish: Wish, count: int) -> list[float]:
+    """Crossovers to try, the fastest first."""
+    if wish.bandwidth_hz is not None:
+        return [wish.bandwidth_hz]
+    fastest_hz = 90.0 / 360.0 / max(axis.delay_s, SHORTEST_DELAY_S)  # the delay alone takes 90 deg there
+    return [float(crossover_hz) for crossover_hz in fastest_hz * np.geomspace(1.0, SLOWEST_SHARE, count)]
+
+
+def notches_for(axis: LinearAxis, wish: Wish) -> tuple[Notch, ...]:
+    """Notches with which the required margins allow more integral action, each NOTCH_GAIN times as much at least.
+
+    Only the frequency response of the axis is used. For each of its resonances a grid of places, widths and depths is
+    tried, and the best of it is made better step by step. None on an axis without a resonance.
+    """
+    notches: tuple[Notch, ...] = ()
+    peaks_hz = resonances_hz(axis)
+    if not peaks_hz:
+        return notches
+    loops = open_loops(axis, TRIAL_STRIDE)
+    before = _action(axis, loops, wish)
+    while len(notches) < MOST_NOTCHES:
+        action, notch = _best_notch(axis, loops, wish, peaks_hz)
+        if action <= NOTCH_GAIN * before:
+            break
+        before, notches = action, (*notches, notch)
+        loops = [loop.behind(notches) for loop in loops]
+    return tuple(_written(notch) for notch in notches)
+
+
+def resonances_hz(axis: LinearAxis) -> list[float]:
+    """Where the axis answers more than its whole inertia would, at a maximum; within reach of a notch."""
+    omega = sweep_rad_per_s(axis.estimator)
+    s = 1j * omega
+    over = np.abs(axis.inertia_nm_s2_per_rev * s / impedance_nm_per_rps(axis, s))
+    peaks = 1 + np.flatnonzero((over[1:-1] >= over[:-2]) & (over[1:-1] > over[2:]) & (over[1:-1] > PEAK))
+    hz = omega[peaks] / (2.0 * math.pi)
+    return [float(peak_hz) for peak_hz in hz[NOTCH_PLACES[0] * hz <= _highest_notch_hz(axis)]]
+
+
+def resonance_text(axis: LinearAxis) -> str:
+    """Where the elastic load of an axis resonates, as its margins count it."""
+    share, frequency_hz, _ = axis.elastic
+    low_hz, high_hz = ((1.0 + sign * axis.resonance_spread) * frequency_hz for sign in (-1.0, 1.0))
+    return f"the resonance of the load ({100.0 * share:.2g} % of the inertia) from {low_hz:.3g} to {high_hz:.3g} Hz"
+
+
+def notch_text(axis: LinearAxis, by_notches: float | None) -> str | None:
+    """What the notches of a design give, `by_notches` times the integral action; None for a rigid axis."""
+    if axis.elastic == RIGID:
+        return None
+    held = f"the margins hold with {resonance_text(axis)}"
+    if by_notches is None:
+        return f"{held}; no notch would allow {NOTCH_GAIN:g} times the integral action"
+    several = len(axis.notches) > 1
+    notches = " and ".join(
+        f"at {one.frequency_hz:g} Hz (width {one.width:g}, depth {one.depth:g})" for one in axis.notches
+    )
+    allow = f"{'notches' if several else 'a notch'} {notches} allow{'' if several else 's'}"
+    if math.isinf(by_notches):
+        return f"{allow} gains within the margins, which no gains have without; {held}"
+    return f"{allow} {by_notches:.3g} times the integral action within the margins; {held}"
+
+
+def _highest_notch_hz(axis: LinearAxis) -> float:
+    return HIGHEST_NOTCH_SHARE / axis.period_s if axis.period_s > 0.0 else math.inf
+
+
+def _best_notch(
+    axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish, peaks_hz: Sequence[float]
+) -> tuple[float, Notch]:
+    """The largest integral action with one more notch, and that notch."""
+    highest_hz = _highest_notch_hz(axis)
+
+    def tried(notch: Notch) -> tuple[float, Notch]:
+        behind = [loop.behind((*loop.axis.notches, notch)) for loop in loops]
+        return _action(axis, behind, wish), notch
+
+    def within(notch: Notch) -> bool:
+        wide = NOTCH_WIDTHS[0] <= notch.width <= NOTCH_WIDTHS[-1]
+        return wide and notch.frequency_hz <= highest_hz and NOTCH_DEPTHS[0] <= notch.depth <= NOTCH_DEPTHS[-1]
+
+    places_hz = [place * peak_hz for peak_hz in peaks_hz for place in NOTCH_PLACES]
+    grid = [Notch(*one) for one in itertools.product(places_hz, NOTCH_WIDTHS, NOTCH_DEPTHS)]
+    # of those that allow the same, the narrowest and then the least deep
+    best = max(map(tried, filter(within, grid)), key=lambda one: (one[0], -one[1].width, one[1].depth))
+    improved = True
+    while improved:
+        improved = False
+        for field, step in zip(Notch._fields, NOTCH_STEPS, strict=True):
+            for factor in (step, 1.0 / step):
+                other = best[1]._replace(**{field: factor * getattr(best[1], field)})
+                if within(other):
+                    found = tried(other)
+                    improved = improved or found[0] > best[0]
+                    best = max(best, found, key=lambda one: one[0])
+    return best
+
+
+def _action(axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish) -> float:
+    """The largest Ki Kt + L (Nm/rev) with the required margins, roughly: on few crossovers; 0 if none has them."""
+    most = 0.0
+    for crossover_hz in _crossovers_hz(axis, wish, TRIAL_BANDWIDTHS):
+        proportional, integral = _gains_at(axis, crossover_hz, wish.damping_ratio)
+        nm_per_rev = integral * axis.torque_constant_nm_per_a
+        beyond = max(0.0, most - nm_per_rev)  # what another crossover had already
+        if _holds(loops, proportional, integral, beyond, wish):
+            most = max(most, nm_per_rev + observer_gain(loops, proportional, integral, wish, TRIAL_HALVINGS))
+    return most
+
+
+def _written(notch: Notch) -> Notch:
+    """As an axis file has it."""
+    return Notch(*(float(f"{value:.3g}") for value in notch))
+
+
+def _holds(loops: Sequence[OpenLoop], proportional: float, integral: float, observer: float, wish: Wish) -> bool:
+    return all(wish.is_met(loop.margins(proportional, integral, observer)) for loop in loops)
 
 
 def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tuple[float, float]:
@@ -165,21 +304,24 @@ def _gains_at(axis: LinearAxis, bandwidth_hz: float, damping_ratio: float) -> tu
     return proportional, natural * natural * inertia / kt
 
 
-def _integral_that_holds(axis: LinearAxis, proportional: float, most: float, wish: Wish) -> float:
+def _integral_that_holds(loops: Sequence[OpenLoop], proportional: float, most: float, wish: Wish) -> float:
     """The largest Ki up to `most` with the required margins; 0 if there is none."""
-    return largest_that(most, lambda integral: _holds(axis, proportional, integral, 0.0, wish))
+    return largest_that(most, lambda integral: _holds(loops, proportional, integral, 0.0, wish))
 
 
-def observer_gain(axis: LinearAxis, proportional: float, integral: float, wish: Wish) -> float:
+def observer_gain(
+    loops: Sequence[OpenLoop], proportional: float, integral: float, wish: Wish, halvings: int = HALVINGS
+) -> float:
     """The largest L (Nm/rev) with the required margins, which hold without it; 0 if there is none."""
+    axis = loops[0].axis
     most = proportional * axis.torque_constant_nm_per_a / max(axis.delay_s, SHORTEST_DELAY_S)  # as fast as the delay
-    return largest_that(most, lambda gain: _holds(axis, proportional, integral, gain, wish))
+    return largest_that(most, lambda gain: _holds(loops, proportional, integral, gain, wish), halvings)
 
 
-def largest_that(most: float, holds: Callable[[float], bool]) -> float:
+def largest_that(most: float, holds: Callable[[float], bool], halvings: int = HALVINGS) -> float:
     """The largest value up to `most` that holds, where smaller ones do; 0 where none does."""
     least = 0.0
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (least + most)
         if holds(middle):
             least = middle

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from ..control.stability import LinearAxis, Margins, loop_margins
 from ..documents import sentence
-from ..identification.tuning import DampingRange, Design
+from ..identification.tuning import DampingRange, Design, notch_text
 from ..model.parameters import ModelFile, Quantity
 from ..symbols import FRICTION
 from ..units import NORMAL_95, TWO_PI, inertia_nm_s2_per_rev
@@ -94,6 +94,9 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         f"The friction damping may vary {range_text(design.without_overshoot)} with real poles, "
         f"{range_text(design.within_margins)} within the margins.",
     ]
+    notches = notch_text(tuning.axis, tuning.by_notches)
+    if notches is not None:
+        reasons.append(sentence(notches))
     if source.on_the_estimate is not None and not unstable:
         reasons.append(sentence(estimate_text(source.on_the_estimate)))
     cautions = [sentence(text) for text in design.warnings]
@@ -169,6 +172,9 @@ def _gains(tuning: Tuning) -> Table:
             cells=[number(g.hold_a_per_rev_s, 4), _text("integral gain of the position hold at standstill")],
         ),
     ]
+    for notch in tuning.axis.notches:
+        text = _text(f"notch on the error, width {notch.width:g}, depth {notch.depth:g}")
+        rows.append(Row(label="notch", unit="Hz", cells=[number(notch.frequency_hz), text]))
     return Table(
         name="gains", title="Gains", corner="gain", rows=rows,
         columns=[Heading(label="value"), Heading(label="what it is", words=True)],
@@ -194,6 +200,9 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
         _margin_row("PI and observer", design.margins_observer),
         _margin_row("at rest, friction contact as a spring", design.margins_rest),
     ]
+    if axis.notches:
+        without = loop_margins(axis._replace(notches=()), *gains.in_motion)
+        rows.insert(2, _margin_row("the same gains without notches", without))
     corners = _corners(source, axis)
     if corners:
         found = [loop_margins(corner, *gains.in_motion) for corner in corners]
@@ -288,6 +297,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
         Row(label="hold of the command", unit="s",
             cells=[number(source.hold_s), Cell(text="–"), _text("half a period")]),
         *_lag_given_back(model, axis),
+        *_resonance(axis),
         Row(label="total delay", unit="s", cells=[number(axis.delay_s, 4), Cell(text="–"), _text("their sum")]),
         Row(label="Kt", unit="Nm/A",
             cells=[number(model.torque_constant_nm_per_a, 4), Cell(text="–"), _text("declared")]),
@@ -305,6 +315,17 @@ def _lag_given_back(model: ModelFile, axis: LinearAxis) -> list[Row]:
         return []
     lag = _text("its lag is not in the loop: the velocity is estimated")
     return [Row(label="drive's velocity", unit="s", cells=[number(-model.sensor_delay_s.value), Cell(text="–"), lag])]
+
+
+def _resonance(axis: LinearAxis) -> list[Row]:
+    """That of an elastic load, with the interval over which the margins hold."""
+    share, frequency_hz, damping = axis.elastic
+    if share == 0.0:
+        return []
+    low_hz, high_hz = ((1.0 + sign * axis.resonance_spread) * frequency_hz for sign in (-1.0, 1.0))
+    meaning = f"{significant(100.0 * share, 2)} % of the inertia behind it, damping ratio {significant(damping, 2)}"
+    found = number(frequency_hz, low=low_hz, high=high_hz)
+    return [Row(label="resonance", unit="Hz", cells=[found, Cell(text="–"), _text(meaning)])]
 
 
 def _letter(model: ModelFile) -> str:

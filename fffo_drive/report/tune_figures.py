@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..control.stability import LinearAxis, Margins, error_response, impedance_nm_per_rps, loop_margins
+from ..control.stability import RIGID, LinearAxis, Margins, error_response, impedance_nm_per_rps, loop_margins
 from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
@@ -20,6 +20,7 @@ HIGHEST_GAIN = 2.5  # of the chosen one, in the s-plane
 POINTS = 400
 LOWEST_HZ, HIGHEST_HZ = 0.1, 500.0
 LAST_TURN = 0.5  # turns of phase that the delay takes at the end of the figure
+BEYOND_RESONANCE = 1.5  # of a resonance, the figure ends
 DAMPINGS = 81
 SHORTEST_STEP_S = 0.15
 
@@ -31,6 +32,7 @@ class Tuning(NamedTuple):
     design: Design
     wish: Wish
     friction: FrictionConfig
+    by_notches: float | None = None  # times the integral action that is allowed without; None: no notch
 
     @property
     def gains(self) -> Gains:
@@ -150,21 +152,30 @@ def step_figure(tuning: Tuning) -> Figure:
 
 def bode_figures(tuning: Tuning) -> list[Figure]:
     """Open loop with the delay, without and with the observer's L: gain and phase, zooming together."""
-    hz = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, LAST_TURN / max(tuning.axis.delay_s, 1e-4)), POINTS)
+    highest_hz = max(LAST_TURN / max(tuning.axis.delay_s, 1e-4), BEYOND_RESONANCE * tuning.axis.elastic.frequency_hz)
+    hz = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, highest_hz), POINTS)
     design, gains = tuning.design, tuning.gains
-    looks: tuple[tuple[str, float, Margins, str, Dash], ...] = (
-        ("PI", 0.0, design.margins_pi, "blue", "solid"),
-        ("PI and L", gains.observer_nm_per_rev, design.margins_observer, "orange", "dashdot"),
-    )
+    observer, with_observer = gains.observer_nm_per_rev, design.margins_observer
+    looks: list[tuple[str, LinearAxis, float, Margins, str, Dash]] = [
+        ("PI", tuning.axis, 0.0, design.margins_pi, "blue", "solid"),
+        ("PI and L", tuning.axis, observer, with_observer, "orange", "dashdot"),
+    ]
+    if tuning.axis.notches:
+        plain = tuning.axis._replace(notches=())
+        looks.append(("PI and L, no notch", plain, observer, with_observer, "grey", "dotted"))
     gain, phase, levels = [], [], []
-    for name, observer, margins, colour, dash in looks:
-        loop = open_loop(tuning.axis, gains, observer, hz)
+    for name, axis, observer, margins, colour, dash in looks:
+        loop = open_loop(axis, gains, observer, hz)
         gain.append(Series(name, hz, np.abs(loop), colour, dash=dash, weight=1.8))
         turned = np.degrees(np.unwrap(np.angle(loop)))
         phase.append(Series(name, hz, turned, colour, dash=dash, weight=1.8))
-        if observer > 0.0 and np.isfinite(margins.crossover_hz):
+        if axis is tuning.axis and observer > 0.0 and np.isfinite(margins.crossover_hz):
             levels.append(LevelLine(margins.crossover_hz, "", upright=True))
     wanted = tuning.wish.phase_margin_deg
+    elastic = (
+        f" Drawn at the resonance of {significant(tuning.axis.elastic.frequency_hz)} Hz; margins are the smallest "
+    )
+    elastic += "ones over its interval."
     estimated = " Margins with the estimated velocity are the smaller ones of this loop and the one cut at the current."
     return [
         Figure(
@@ -178,7 +189,7 @@ def bode_figures(tuning: Tuning) -> list[Figure]:
             name="bode-phase", kind="xy", title="Open loop: phase", group="bode", width="half",
             caption=f"Phase margins {significant(design.margins_pi.phase_deg)}° with PI, "
                     f"{significant(design.margins_observer.phase_deg)}° with L; {wanted:g}° are required."
-                    + estimated * (tuning.axis.estimator is not None),
+                    + elastic * (tuning.axis.elastic != RIGID) + estimated * (tuning.axis.estimator is not None),
             x=FREQUENCY, y=PlotAxis("phase", "deg"), series=tuple(phase),
             levels=(LevelLine(-180.0, "−180°"), LevelLine(wanted - 180.0, f"{wanted:g}° margin"), *levels),
         ),

@@ -16,9 +16,19 @@ from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import best_law
-from ..control.stability import RIGID, LinearAxis, stick_slip_rps, stuck_axes
+from ..control.stability import RIGID, LinearAxis, loop_margins, stick_slip_rps, stuck_axes
 from ..documents import DocumentError, parse, read_text, up_to_date
-from ..identification.tuning import Design, Wish, design, root_locus, step_response
+from ..identification.tuning import (
+    Design,
+    Gains,
+    Wish,
+    design,
+    gains_in_motion,
+    notches_for,
+    resonance_text,
+    root_locus,
+    step_response,
+)
 from ..identification.uncertainty import ADVICE, UNKNOWN_SD
 from ..model.parameters import ModelFile
 
@@ -28,10 +38,11 @@ ROUNDING = 1e-6  # of margins
 
 
 class Tuned(NamedTuple):
-    """Gains, and the linear axis that they are for."""
+    """Gains, and the linear axis that they are for, with its notches."""
 
     axis: LinearAxis
     design: Design
+    by_notches: float | None = None  # times the integral action that the same margins allow without; None: no notch
 
     def __repr__(self) -> str:
         gains, margins = self.design.gains, self.design.margins_observer
@@ -47,7 +58,7 @@ class Tuned(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Gains, margins, root locus and step, JSON-ready."""
-        return summarise(self.design, self.axis)
+        return summarise(self.design, self.axis) | {"integral_action_by_notches": self.by_notches}
 
 
 def tune(
@@ -58,13 +69,15 @@ def tune(
 
     Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
     elasticity make the delay of a rigid model too short; the longer of the two is designed for. A model with elasticity
-    is designed for with its own delay: commissioning takes the axis for rigid. An axis that did not move as a single
-    rigid inertia, and a model without effects, is a warning.
+    is designed for with its own delay, and with notches where they gain: commissioning takes the axis for rigid. An
+    axis that did not move as a single rigid inertia, and a model without effects, is a warning.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
     longer_s = max(0.0, (commissioned.delay_s or 0.0) - model.delay_s.value) if axis.elastic == RIGID else 0.0
     axis = axis._replace(delay_s=axis.delay_s + longer_s)
+    axis = axis._replace(notches=())
+    axis = axis._replace(notches=notches_for(axis, wish))
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
     found = found._replace(warnings=(*found.warnings, *undetermined(model)))
@@ -89,7 +102,17 @@ def tune(
             "lubricant"
         )
         found = found._replace(warnings=(*found.warnings, text))
-    return Tuned(axis, found)
+    return Tuned(axis, found, _by_notches(axis, found, wish) if axis.notches else None)
+
+
+def _by_notches(axis: LinearAxis, found: Design, wish: Wish) -> float:
+    """How many times the integral action that the margins allow without notches; infinite if they allow none."""
+    without = axis._replace(notches=())
+    gains = Gains(*gains_in_motion(without, wish))
+    if not wish.is_met(loop_margins(without, *gains.in_motion)):
+        return math.inf
+    kt = axis.torque_constant_nm_per_a
+    return found.gains.integral_action_nm_per_rev(kt) / gains.integral_action_nm_per_rev(kt)
 
 
 def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
@@ -172,6 +195,7 @@ def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) 
         "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
         "error_filter_s": axis.error_filter_s,
+        "notches": [notch._asdict() for notch in axis.notches],
         "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
         "at_rest": {
             "gain_share": _rounded(found.gains.rest_share),
@@ -252,7 +276,8 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
         return
     text = (
         f"the loop would have a phase margin of {margins.phase_deg:.1f} deg and a gain margin of {margins.gain:.2f}; "
-        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are required. "
+        f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are required"
+        f"{'' if axis.elastic == RIGID else f', with {resonance_text(axis)}'}. "
     )
     free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
@@ -260,4 +285,7 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
         raise DocumentError(
             f"with a crossover of {wish.bandwidth_hz:g} Hz {text}A crossover of {crossover_hz:.3g} Hz has them"
         )
-    raise DocumentError(f"{model.name}: {text}No crossover gives them: require smaller margins")
+    remedy = "require smaller margins"
+    if axis.elastic != RIGID:
+        remedy = f"no notch helps: stiffen the coupling, damp the load, or {remedy}"
+    raise DocumentError(f"{model.name}: {text}No crossover gives them: {remedy}")

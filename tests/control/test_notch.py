@@ -21,12 +21,11 @@ from fffo_drive.control.notch import (
     NO_NOTCHES,
     Notch,
     notch_config,
-    notch_response,
     notch_step,
     notches_at_rest,
 )
 from fffo_drive.control.pi import PiConfig
-from fffo_drive.control.stability import LinearAxis, loop_margins
+from fffo_drive.control.stability import LinearAxis, loop_margins, notch_response
 from fffo_drive.model.friction import FrictionConfig
 
 PERIOD_S = 5e-4
