@@ -69,8 +69,11 @@ COUNTS_PER_REV = 2.0**15
 CRASHED, REFUSED = "crashed", "refused"
 REFUSALS = (ValueError, DocumentError, RecordingError)  # what a command ends with and says why
 BATCH_AXES = 10  # between two writes of the rows
-# warnings of `tune` that are no word about shaking, hunting or tripping
-OF_THE_DESIGN = ("L is ", "friction damping may vary", "designed for the delay")
+# beginnings of warnings that are no word about shaking, hunting or tripping: of the design, and of what `commission`
+# finds other than in the assumed model
+NO_WORD = (
+    "L is ", "friction damping may vary", "designed for the delay", "torque_per_inertia: ", "delay: ", "velocity_age: ",
+)  # fmt: skip
 A_DATE = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d[\d:.+Z]*")
 
 
@@ -225,7 +228,7 @@ def with_range(case: Case, chain: Chain) -> Loaded:
 
 def words_of(warnings: Sequence[str]) -> tuple[str, ...]:
     """Those that say what may become of the axis."""
-    return tuple(text for text in warnings if not text.startswith(OF_THE_DESIGN))
+    return tuple(text for text in warnings if not text.startswith(NO_WORD))
 
 
 def elastic_text(values: Mapping[str, float]) -> str:
