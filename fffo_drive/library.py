@@ -53,6 +53,7 @@ from .workflows.adopt import Adopted
 from .workflows.errors import RecordingGapError
 from .workflows.evaluate_live import evaluate_recordings
 from .workflows.identify import Identified
+from .workflows.load_range import range_of, with_range
 from .workflows.plan import Plan, make_plan, open_drive
 from .workflows.record import record_run
 from .workflows.recorded_facts import facts_for, facts_of_axis
@@ -363,17 +364,22 @@ def _prior(
 def tune(
     model: ModelFile, *, axis: Axis | None = None, rate_hz: float = 2000.0, bandwidth_hz: float | None = None,
     phase_margin_deg: float = Wish().phase_margin_deg, gain_margin: float = Wish().gain_margin,
+    inertia_range_kg_m2: tuple[float, float] | None = None,
 ) -> Tuned:  # fmt: skip
     """Choose the gains with the largest integral action within the margins (deg, factor).
 
     `bandwidth_hz`: target crossover frequency. `axis`: take the loop rate, the source of the velocity and the delay in
-    the commissioning record from this axis; None: `rate_hz` and the drive's velocity. Raises DocumentError.
+    the commissioning record from this axis; None: `rate_hz` and the drive's velocity. `inertia_range_kg_m2`: least and
+    largest inertia with all loads, at the motor shaft, motor included (kg of a linear axis), over which the margins
+    hold; None: the axis file's, or the model's inertia alone. Raises DocumentError.
     """
     tuning.require_positive(rate_hz=rate_hz)
-    linear = default_axis(model, 1.0 / rate_hz) if axis is None else loop_axis(axis.file, model)
+    given = None if inertia_range_kg_m2 is None else range_of(model, *inertia_range_kg_m2)
+    file = None if axis is None else with_range(axis.file, given)
+    linear = default_axis(model, 1.0 / rate_hz, given) if file is None else loop_axis(file, model)
     measured = NOT_COMMISSIONED if axis is None else commissioned(axis.path, axis.file)
     wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)
-    return tuning.tune(model, linear, wish, measured, hold_dead_band_rev(None if axis is None else axis.file))
+    return tuning.tune(model, linear, wish, measured, hold_dead_band_rev(file))
 
 
 def diagnose(

@@ -26,6 +26,7 @@ from pathlib import Path
 from ..system.findings import HostFinding, Severity
 from ..workflows.bring_up import BringUpReport, Wishes, bring_up_axis
 from ..workflows.drive_facts import OPTIONS, Answers
+from ..workflows.load_range import inertia_range
 from ..workflows.rate_trial import RateTrial
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_OK, EXIT_UNAVAILABLE
 from .reset import add_reset_option
@@ -60,6 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     known.add_argument(
         "--inertia", dest="inertia_kg_m2", type=_above_zero, metavar="KGM2", help="inertia of motor and load"
     )
+    known.add_argument(
+        "--inertia-range",
+        dest="inertia_range_kg_m2",
+        type=_above_zero,
+        nargs=2,
+        metavar=("LEAST", "LARGEST"),
+        help="the same with the least and with the largest load, if the load changes: all margins hold over it",
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -72,6 +81,8 @@ def execute(options: argparse.Namespace) -> int:
     answers = Answers(**{name: getattr(options, name) for name in Answers._fields})
     if answers.counts_per_rev is not None:
         answers = answers._replace(counts_per_rev=round(answers.counts_per_rev))
+    if answers.inertia_range_kg_m2 is not None:
+        answers = answers._replace(inertia_range_kg_m2=inertia_range(*answers.inertia_range_kg_m2))
     wishes = Wishes(
         options.bus, Path(options.out), options.node, options.assign, answers, options.profile,
         options.bitrate, options.force, not options.no_measure, options.seconds, options.reset_fault,

@@ -167,6 +167,7 @@ def _check_all(paths: Sequence[str]) -> None:
 def _check(plan: Plan) -> None:
     from ..can.load import ChainStep
     from ..config.address import address_of, sandbox_problem
+    from ..config.axis import loop_axis
     from ..config.checks import bus_sum, law_margins
     from ..config.drive_section import CanopenDriveSection
     from ..config.law_costs import law_costs
@@ -179,9 +180,11 @@ def _check(plan: Plan) -> None:
     axis, model = plan.axis, plan.model
     margins = law_margins(axis, model, plan.toggle != TOGGLE_OFF)
     print(f"{plan.path}: ok")
+    ends = loop_axis(axis, model).inertia_range_nm_s2_per_rev
+    loads = "" if ends is None else f", at the worst inertia from {model.inertia_text(*ends)}"
     print(
         f"  loop: {axis.loop.rate_hz} Hz, phase margin {margins.phase_deg:.1f} deg, gain margin {margins.gain:.2f}, "
-        f"crossover {margins.crossover_hz:.1f} Hz with {model.delay_s.value * 1e3:g} ms delay"
+        f"crossover {margins.crossover_hz:.1f} Hz with {model.delay_s.value * 1e3:g} ms delay{loads}"
     )
     print(f"  profile: {plan.profile.name}, {plan.profile.duration_s:g} s, {plan.profile.values.size} samples")
     if isinstance(axis.drive, CanopenDriveSection):
@@ -205,8 +208,11 @@ def _check(plan: Plan) -> None:
     print(f"  recordings in {directory}: {life_text(expected_disk_life(axis, directory))}")
     for text in (*accepted_words(axis, model), *coarse_words(axis, model)):
         print(f"  warning: {text}")
+    limit_rps = axis.envelope.following_error_rps
     for cost in law_costs(axis, model, plan.profile, plan.toggle != TOGGLE_OFF):
         print(f"  law: {cost}")
+        if cost.largest_rps > limit_rps:
+            print(f"  warning: that is more than envelope.following_error_rps, {limit_rps:g}: expect the axis to trip")
     for key in ("scope", "foxglove"):
         listen = getattr(axis.daemon, key)
         problem = sandbox_problem(address_of(listen)) if listen is not None else None

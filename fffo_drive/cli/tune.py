@@ -14,17 +14,25 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from ..config.axis import default_axis, hold_dead_band_rev, loop_axis, read_axis
+from ..config.axis import AxisFile, default_axis, hold_dead_band_rev, loop_axis, read_axis
 from ..config.commissioning import NOT_COMMISSIONED, commissioned
+from ..config.runaway import fewer_ticks
 from ..config.sections import ControllerSection
 from ..documents import DocumentError
 from ..identification.tuning import Wish, notch_text
-from ..model.parameters import read_model
+from ..model.parameters import ModelFile, read_model
 from ..report.page import refuse_other_report, write_report
-from ..report.tune import TuneSource, estimate_text, range_text, tune_report
+from ..report.tune import TuneSource, estimate_text, loads_text, range_text, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
-from ..workflows.tune import allowed_by_estimate, require_positive, section_text, tune, write_tuned_axis
+from ..workflows.load_range import ask_range, range_of, with_range
+from ..workflows.tune import (
+    allowed_by_estimate,
+    require_positive,
+    section_text,
+    tune,
+    write_tuned_axis,
+)
 
 FIGURES = "figures"
 GAINS_NAME = "controller.yaml"
@@ -60,6 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="smallest gain margin (%(default)s)",
     )
     parser.add_argument(
+        "--inertia-range",
+        type=float,
+        nargs=2,
+        metavar=("LEAST", "LARGEST"),
+        help="inertia with the least and with the largest load, at the motor shaft, motor included, in kg m2 (linear "
+        "axis: kg): all margins hold over it (default: the axis file's; without one it is asked for at a terminal)",
+    )
+    parser.add_argument(
         "--rate-hz", type=float, default=2000.0, metavar="HZ", help="rate of the loop, without --axis (%(default)s)"
     )
     parser.add_argument(
@@ -91,8 +107,10 @@ def execute(options: argparse.Namespace) -> int:
     require_positive(rate_hz=options.rate_hz, current_limit_a=options.current_limit_a)
     model = read_model(options.model)
     axis_file = read_axis(options.axis) if options.axis else None
+    inertia_range = _inertia_range(options, model, axis_file)
+    axis_file = with_range(axis_file, inertia_range) if axis_file else None
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
-    axis = loop_axis(axis_file, model) if axis_file else default_axis(model, period_s)
+    axis = loop_axis(axis_file, model) if axis_file else default_axis(model, period_s, inertia_range)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
     measured = commissioned(options.axis, axis_file) if axis_file else NOT_COMMISSIONED
     tuned = tune(model, axis, wish, measured, hold_dead_band_rev(axis_file))
@@ -111,8 +129,9 @@ def execute(options: argparse.Namespace) -> int:
     written = [out / GAINS_NAME]
     written[0].write_text(text, encoding="utf-8")
     result = tuned.summary() | {"integral_action_on_the_estimate": more}
+    ticks = fewer_ticks(axis_file, model) if axis_file and axis_file.controller.inertia_range_kg_m2 else None
     if options.axis:
-        written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model)))
+        written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model), ticks))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands, more)
     tuning = Tuning(tuned.axis, found, wish, model.friction_config(), tuned.by_notches)
@@ -126,12 +145,37 @@ def execute(options: argparse.Namespace) -> int:
         shown = {key: result[key] for key in result if key not in ("root_locus", "step")}
         print(json.dumps(shown | {"report": str(paths.page)}, indent=2))
     else:
-        _print(tuning, model.units == "linear")
+        _print(tuning, model)
         if more is not None:
             print(estimate_text(more))
+        if ticks is not None:
+            print(
+                f"envelope.feedback_missing_ticks: {ticks}: without feedback for longer the axis with the least "
+                "inertia could gain too much speed (`config check` has the figures); a lower current limit allows more"
+            )
         for path in (*written, paths.page):
             print(path)
     return 0
+
+
+def _inertia_range(
+    options: argparse.Namespace, model: ModelFile, axis_file: AxisFile | None
+) -> tuple[float, float] | None:
+    """As given, or as the user answers; None: the axis file's, or none. Raises DocumentError."""
+    if options.inertia_range is not None:
+        return range_of(model, *options.inertia_range)
+    known = axis_file is not None and axis_file.controller.inertia_range_kg_m2 is not None
+    if known or options.json or not sys.stdin.isatty():
+        return None
+    asked = ask_range(model.inertia_text(model.axis_config().inertia_nm_s2_per_rev), _ask)
+    return None if asked is None else range_of(model, *asked)
+
+
+def _ask(question: str, proposal: str) -> str | None:
+    try:
+        return input(f"{question} [{proposal}] ").strip() or proposal
+    except EOFError:
+        return None
 
 
 def _commands(axis: Path | None, model: Path) -> list[str]:
@@ -150,8 +194,9 @@ def _commands(axis: Path | None, model: Path) -> list[str]:
     ]
 
 
-def _print(tuning: Tuning, linear: bool) -> None:
-    for line in _lines(tuning):
+def _print(tuning: Tuning, model: ModelFile) -> None:
+    linear = model.units == "linear"
+    for line in (*_lines(tuning), loads_text(tuning.axis, model)):
         print(text_on(line, linear))
     for warning in tuning.design.warnings:
         print(f"warning: {text_on(warning, linear)}", file=sys.stderr)

@@ -45,22 +45,24 @@ from ..units import NS_PER_S
 from .drive_profile import with_profile
 from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
 from .names import LONGEST_NAME, FileName
+from .profile_sections import (
+    DecideProfile,
+    FrfProfile,
+    IdentifyProfile,
+    PaperProfile,
+    ProfileSection,
+    RecipeProfile,
+    SineProfile,
+)
 from .sections import (
     AdaptationSection,
     ControllerSection,
     DaemonSection,
-    DecideProfile,
     EnvelopeSection,
     FeedforwardSection,
-    FrfProfile,
-    IdentifyProfile,
     LoopSection,
-    PaperProfile,
-    ProfileSection,
     RealtimeSection,
-    RecipeProfile,
     RecordingSection,
-    SineProfile,
     VelocitySection,
     length_problems,
     notch_problem,
@@ -205,15 +207,20 @@ def velocity_config(axis: AxisFile, model: ModelFile) -> VelocityEstimatorConfig
 
 
 def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
-    """The sliding axis as the loop of this file meets it: with the delay, and filter and notches of the error."""
+    """The sliding axis as the loop of this file meets it: delay, filter and notches of the error, and its loads."""
     section = axis.controller
-    found = linear_axis(model, axis.loop.period_s, velocity_config(axis, model), section.error_filter_s)
+    found = linear_axis(
+        model, axis.loop.period_s, velocity_config(axis, model), section.error_filter_s, section.inertia_range_kg_m2
+    )
     return found._replace(notches=notches_of(section))
 
 
-def default_axis(model: ModelFile, period_s: float) -> LinearAxis:
+def default_axis(
+    model: ModelFile, period_s: float, inertia_range_kg_m2: tuple[float, float] | None = None
+) -> LinearAxis:
     """The same for a file whose law is the default."""
-    return linear_axis(model, period_s, error_filter_s=ControllerSection.model_fields["error_filter_s"].default)
+    filter_s = ControllerSection.model_fields["error_filter_s"].default
+    return linear_axis(model, period_s, None, filter_s, inertia_range_kg_m2)
 
 
 def rest_config(axis: AxisFile, model: ModelFile) -> RestConfig:

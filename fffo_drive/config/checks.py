@@ -145,17 +145,19 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
                 f"Ki Kt + L >= 2 B: at least {needed:.3g} Nm/rev is needed with this integral gain"
             )
     margins = law_margins(axis, model, observer_on)
-    elastic = loop_axis(axis, model)
-    notch = f". With {resonance_text(elastic)}: `fffo-drive tune` chooses a notch" if elastic.elastic != RIGID else ""
+    loop = loop_axis(axis, model)
+    notch = f". With {resonance_text(loop)}: `fffo-drive tune` chooses a notch" if loop.elastic != RIGID else ""
+    ends = loop.inertia_range_nm_s2_per_rev
+    loads = "" if ends is None else f", at the worst inertia from {model.inertia_text(*ends)},"
     if margins.phase_deg < section.phase_margin_deg:
         problems.append(
-            f"controller: phase margin {margins.phase_deg:.1f} deg with {_delay_ms(axis, model):g} ms delay is "
+            f"controller: phase margin {margins.phase_deg:.1f} deg with {_delay_ms(axis, model):g} ms delay{loads} is "
             f"below phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, "
             f"integral_a_per_rev or proportional_a_per_rps{notch}"
         )
     if margins.gain < section.gain_margin:
         problems.append(
-            f"controller: gain margin {margins.gain:.2f} is below gain_margin {section.gain_margin:g}: lower "
+            f"controller: gain margin {margins.gain:.2f}{loads} is below gain_margin {section.gain_margin:g}: lower "
             f"proportional_a_per_rps{notch}"
         )
     problems += fallback_problems(axis, model, observer_on)

@@ -1,4 +1,4 @@
-"""What it costs that a file switches a part of the law off: by the model, on the motion that the file has.
+"""What it costs that a file switches a part of the law off, or that the load changes: by the model, on its motion.
 
 With every part on, and a right model, the shaft follows the reference. A part that is off leaves the loop a torque to
 make by itself, and the velocity error by which it makes it is that torque over impedance and controller,
@@ -6,8 +6,8 @@ make by itself, and the velocity error by which it makes it is that torque over 
     error = torque / (Z + C exp(-s Td)),    Z = J s + D,  C = (Kp Kt + (Ki Kt + L) / s) N / (1 + s Tf)
 
 with the notches N. It is evaluated over the spectrum of the torque along the reference, with friction as its
-steady-state curve. Each part is taken alone, with all others on. No kernel of the law runs: a check of a file takes no
-time for it.
+steady-state curve. Each part is taken alone, with all others on. With another load the torque is what feed-forward
+makes too much or too little. No kernel of the law runs: a check of a file takes no time for it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..control.feedforward import FeedforwardConfig
 from ..control.reference import MODE_VELOCITY, Profile, piecewise_linear
-from ..control.stability import LinearAxis, error_response, impedance_nm_per_rps
+from ..control.stability import LinearAxis, error_response, impedance_nm_per_rps, over_loads
 from ..model.friction import FrictionConfig, least_sliding_nm, steady_friction_along
 from ..model.parameters import ModelFile
 from .axis import AxisFile, feedforward_config, loop_axis
@@ -53,7 +53,7 @@ class PartCost(NamedTuple):
 
 
 def law_costs(axis: AxisFile, model: ModelFile, profile: Profile, observer_on: bool) -> list[PartCost]:
-    """Each part of the best law that this file has off, with its cost; none where it has all."""
+    """Each part of the best law that this file has off, with its cost, and the load that costs most; else none."""
     controller = axis.controller
     feedforward, at_rest = controller.feedforward, controller.at_rest
     costs = [
@@ -64,6 +64,8 @@ def law_costs(axis: AxisFile, model: ModelFile, profile: Profile, observer_on: b
         (not observer_on or controller.observer.learns_in == "integral", _learning),
     ]
     off = [cost for on, cost in costs if not on]
+    if feedforward.inertia and controller.inertia_range_kg_m2 is not None:
+        off.append(_load)
     motion = _Motion.of(axis, model, profile, observer_on) if off else None
     found = [cost(motion) for cost in off if motion is not None]
     friction = model.friction_config()
@@ -168,6 +170,21 @@ def _inertia(motion: _Motion) -> PartCost:
     torque_nm = motion.axis.inertia_nm_s2_per_rev * motion.acceleration_rps2
     why = f"is off: at {motion.largest(motion.acceleration_rps2):.3g} rps2 the loop has to make {{torque}} by itself"
     return motion.cost("feedforward.inertia", torque_nm, motion.error_rps(torque_nm), why)
+
+
+def _load(motion: _Motion) -> PartCost:
+    """The end of the range of inertia with the larger error."""
+    own = motion.axis.inertia_nm_s2_per_rev
+
+    def cost(axis: LinearAxis) -> PartCost:
+        torque_nm = (axis.inertia_nm_s2_per_rev - own) * motion.acceleration_rps2
+        why = (
+            f"is a range: with {axis.inertia_nm_s2_per_rev / own:.3g} times the model's inertia the loop has to "
+            "make up to {torque} that feed-forward does not know"
+        )
+        return motion.cost("inertia_range_kg_m2", torque_nm, motion._replace(axis=axis).error_rps(torque_nm), why)
+
+    return max((cost(axis) for axis in over_loads(motion.axis)), key=lambda one: one.largest_rps)
 
 
 def _preview(motion: _Motion) -> PartCost:

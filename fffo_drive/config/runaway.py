@@ -5,6 +5,8 @@ feedback, and may command up to `current_limit_a`; the axis then gains
 
     dw = T Kt i / J,    T = feedback_missing_ticks / rate,    and turns by T dw / 2 farther than at a constant speed.
 
+With a range of inertia J is the least.
+
 It may have turned at the speed limit before. A machine must stand 1.2 times its highest speed (IEC 60034-1, overspeed),
 so dw may be at most a fifth of `speed_limit_rps`. The other tolerances are not blind: while a statusword or a heartbeat
 is late, while the velocity error is too large for less than `following_error_s`, and while the supervisor is silent,
@@ -16,8 +18,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..control.stability import over_loads
 from ..model.parameters import ModelFile
-from .axis import AxisFile, blind_ticks
+from .axis import AxisFile, blind_ticks, loop_axis
 from .drive_section import CanopenDriveSection
 
 OVERSPEED_SHARE = 0.2  # of the speed limit, that may be gained without feedback: IEC 60034-1 tests at 1.2
@@ -43,7 +46,8 @@ class Runaway(NamedTuple):
 def runaway_of(axis: AxisFile, model: ModelFile) -> Runaway:
     """Of this file, on this model."""
     limits, believed = axis.envelope, model.axis_config()
-    acceleration_rps2 = limits.current_limit_a * believed.torque_constant_nm_per_a / believed.inertia_nm_s2_per_rev
+    least = over_loads(loop_axis(axis, model))[0].inertia_nm_s2_per_rev
+    acceleration_rps2 = limits.current_limit_a * believed.torque_constant_nm_per_a / least
     ticks = blind_ticks(axis)
     blind_s = ticks * axis.loop.period_s
     gained_rps = acceleration_rps2 * blind_s
@@ -61,6 +65,14 @@ def runaway_of(axis: AxisFile, model: ModelFile) -> Runaway:
 def most_ticks(limit_rps: float, acceleration_rps2: float, rate_hz: float) -> int:
     """Ticks without feedback that are safe; 0 where even one is too long."""
     return int(OVERSPEED_SHARE * limit_rps * rate_hz / acceleration_rps2)
+
+
+def fewer_ticks(axis: AxisFile, model: ModelFile) -> int | None:
+    """For `feedback_missing_ticks`, where the file's own are not safe and fewer are; None: it stays."""
+    found = runaway_of(axis, model)
+    if found.allowed or axis.envelope.accept_runaway:
+        return None
+    return most_ticks(found.limit_rps, found.acceleration_rps2, axis.loop.rate_hz) or None
 
 
 def most_current_a(limit_rps: float, rps2_per_a: float, rate_hz: float) -> float:

@@ -30,13 +30,12 @@ from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
 from .mirror import dataclass_of, record_of
 from .names import LONGEST_NAME, FileName
+from .profile_sections import PaperProfile, ProfileSection
 from .sections import (
     AdaptationSection,
     ControllerSection,
     FeedforwardSection,
     ObserverSection,
-    PaperProfile,
-    ProfileSection,
     RestSection,
     VelocitySection,
     length_problems,

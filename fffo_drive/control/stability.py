@@ -11,6 +11,9 @@ there is negative shakes at rest, whatever its margins in motion are. A part of 
 Low-pass and notches of the error multiply the controller; the position hold at rest does not pass them. A resonance is
 known only so well: margins are the smallest ones over where it may be.
 
+The load of an axis may change: then all of this holds over a range of inertia, and a margin is the smallest in it. The
+motor, and the spring of an elastic load, stay as they are.
+
 With an estimated velocity the delay is shorter by the lag of the drive's own. But the estimate also knows the command,
 beside the axis: with a plant P, and the estimate H p + U i of position and command, the loop is cut at the velocity,
 C (H P + U), and at the current, C H P / (1 + C U). The first is the loop with the shorter delay; the second is what an
@@ -33,7 +36,7 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..model.friction import FrictionConfig, steady_friction_nm
 from ..model.parameters import ModelFile
-from ..units import NORMAL_95
+from ..units import NORMAL_95, inertia_nm_s2_per_rev
 from .notch import Notch, section_config
 from .position_hold import held_travel_rev
 from .velocity_estimator import EstimatorResponse, VelocityEstimatorConfig, estimator_response
@@ -49,6 +52,7 @@ LARGEST_SPREAD = 0.5  # a resonance that is known less well is not known
 RESONANCES = 5  # that stand for a spread
 STICK_SLIP_SPEEDS = np.geomspace(0.05, 5.0, 25)  # over the Stribeck velocity: the range in which the curve falls
 SLOPE_STEP = 1e-3  # of the speed, for the slope of the Stribeck curve
+ELASTIC_LOADS = 5  # in a range of inertia: the resonance moves with the load, and the worst one may lie inside
 
 
 class ElasticLoad(NamedTuple):
@@ -76,6 +80,23 @@ class LinearAxis(NamedTuple):
     notches: tuple[Notch, ...] = ()  # on the error
     period_s: float = 0.0  # of the loop, in which the notches are sampled
     resonance_spread: float = 0.0  # share by which the resonance of the elastic load may differ, either way
+    inertia_range_nm_s2_per_rev: tuple[float, float] | None = None  # least and largest load; None: one load
+
+    def with_inertia(self, inertia_nm_s2_per_rev: float) -> LinearAxis:
+        """The same axis with another load, and no range: motor, spring and the spring's damping are the same.
+
+        k = w^2 Jm Jl / J and d = 2 zeta w Jm Jl / J stay, which gives w and zeta of another Jl; without one, with no
+        more inertia than the motor's, the axis is rigid.
+        """
+        alone = self._replace(inertia_nm_s2_per_rev=inertia_nm_s2_per_rev, inertia_range_nm_s2_per_rev=None)
+        share, frequency_hz, damping_ratio = self.elastic
+        if share == 0.0:
+            return alone
+        other = 1.0 - (1.0 - share) * self.inertia_nm_s2_per_rev / inertia_nm_s2_per_rev  # Jm Jl / J is this times Jm
+        if other <= 0.0:
+            return alone._replace(elastic=RIGID)
+        faster = math.sqrt(share / other)
+        return alone._replace(elastic=ElasticLoad(other, faster * frequency_hz, faster * damping_ratio))
 
 
 class Margins(NamedTuple):
@@ -119,6 +140,21 @@ def notch_response(notches: Sequence[Notch], s: Complexes, period_s: float) -> C
 def error_response(axis: LinearAxis, s: Complexes) -> Complexes:
     """Low-pass and notches of the error; s = j omega and the result (n,)."""
     return notch_response(axis.notches, s, axis.period_s) / (1.0 + axis.error_filter_s * s)
+
+
+def over_loads(axis: LinearAxis) -> tuple[LinearAxis, ...]:
+    """The axis at the inertias that stand for its range, from the least to the largest; without a range the axis.
+
+    A rigid one is judged at the ends: more inertia lowers the crossover, with less of the delay's phase and more of the
+    integral's there, so that the phase margin has one maximum over it, and the gain margin rises. The model's inertia
+    always belongs to the range.
+    """
+    if axis.inertia_range_nm_s2_per_rev is None:
+        return (axis,)
+    own = axis.inertia_nm_s2_per_rev
+    least, most = min(*axis.inertia_range_nm_s2_per_rev, own), max(*axis.inertia_range_nm_s2_per_rev, own)
+    places = np.geomspace(least, most, ELASTIC_LOADS if axis.elastic.share > 0.0 else 2).tolist()
+    return tuple(axis.with_inertia(inertia) for inertia in places)
 
 
 def over_resonances(axis: LinearAxis) -> tuple[LinearAxis, ...]:
@@ -181,14 +217,14 @@ class OpenLoop:
 
 def open_loops(axis: LinearAxis, stride: int = 1) -> list[OpenLoop]:
     """The loops over which the margins of an axis are the smallest ones."""
-    return [OpenLoop(one, stride) for one in over_resonances(axis)]
+    return [OpenLoop(one, stride) for load in over_loads(axis) for one in over_resonances(load)]
 
 
 def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
     hold_a_per_rev_s: float = 0.0,
 ) -> Margins:  # fmt: skip
-    """Phase and gain margin of PI plus observer on the linearised axis, with its delay, its filter and its notches.
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay, its filter and its notches, at worst.
 
     `hold_a_per_rev_s`: the integral of the position at rest. The position is no older than the velocity.
     """
@@ -251,11 +287,16 @@ def loop_delay_s(model: ModelFile, period_s: float, estimated: bool = False) -> 
 
 
 def linear_axis(
-    model: ModelFile, period_s: float, estimator: VelocityEstimatorConfig | None = None, error_filter_s: float = 0.0
+    model: ModelFile,
+    period_s: float,
+    estimator: VelocityEstimatorConfig | None = None,
+    error_filter_s: float = 0.0,
+    inertia_range_kg_m2: tuple[float, float] | None = None,
 ) -> LinearAxis:
     """The sliding axis of a model at its smallest damping, the viscous one, with an elastic load if the model has one.
 
     `estimator`: of the velocity in the error; None or unused: the drive's own velocity. `error_filter_s`: of the error.
+    `inertia_range_kg_m2`: with all its loads.
     """
     if estimator is not None and not estimator.used:
         estimator = None
@@ -266,7 +307,7 @@ def linear_axis(
         share, resonance, damping = (elastic[0].parameters[name] for name in ELASTIC_PARAMETERS)
         found = ElasticLoad(share.value, resonance.value, damping.value)
         spread = max(RESONANCE_SPREAD, min(NORMAL_95 * (resonance.sd or 0.0) / resonance.value, LARGEST_SPREAD))
-    return LinearAxis(
+    axis = LinearAxis(
         config.inertia_nm_s2_per_rev,
         config.friction.viscous_nm_per_rps,
         loop_delay_s(model, period_s, estimator is not None),
@@ -277,6 +318,10 @@ def linear_axis(
         error_filter_s=error_filter_s,
         period_s=period_s,
     )
+    if inertia_range_kg_m2 is None:
+        return axis
+    least, most = inertia_range_kg_m2
+    return axis._replace(inertia_range_nm_s2_per_rev=(inertia_nm_s2_per_rev(least), inertia_nm_s2_per_rev(most)))
 
 
 def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, LinearAxis]:
@@ -305,7 +350,10 @@ def stick_slip_rps(
     that linearised dF = S'(w) dw / (1 + s S/(B w)). An estimator of the velocity counts as its delay alone.
     """
     speeds_rps = (friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS).tolist()
-    found = [speed_rps for speed_rps in speeds_rps if not _slides(axis, friction, gains, speed_rps)]
+    loads = over_loads(axis)
+    found = [
+        speed_rps for speed_rps in speeds_rps if not all(_slides(one, friction, gains, speed_rps) for one in loads)
+    ]
     return (found[0], found[-1]) if found else None
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from ..config.sections import ProfileSection
+from ..config.profile_sections import ProfileSection
 from ..documents import DocumentError, StrictRecord
 from ..roles import Role
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..config.axis import build_profile
 from ..config.checks import motion_problems, profile_problems
-from ..config.sections import ProfileSection, length_problems
+from ..config.profile_sections import ProfileSection
+from ..config.sections import length_problems
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError
 from ..workflows.plan import Plan

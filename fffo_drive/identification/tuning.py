@@ -34,6 +34,7 @@ from ..control.stability import (
     impedance_nm_per_rps,
     loop_margins,
     open_loops,
+    over_loads,
     sweep_rad_per_s,
     worst_margins,
 )
@@ -353,7 +354,7 @@ def hold_gain(stuck: Sequence[LinearAxis], gains: Gains) -> float:
         margins = rest_margins(stuck, gains._replace(hold_a_per_rev_s=gain))
         return margins.phase_deg >= REST_MARGIN_DEG and margins.gain >= 1.0
 
-    softest = min(stuck, key=lambda one: one.contact_nm_per_rev)
+    softest = over_loads(min(stuck, key=lambda one: one.contact_nm_per_rev))[-1]  # with the most inertia
     contact, constant = softest.contact_nm_per_rev, softest.torque_constant_nm_per_a
     most = math.sqrt(contact / softest.inertia_nm_s2_per_rev) * contact / constant
     return gains.rest_share * largest_that(most, holds)

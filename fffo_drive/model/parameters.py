@@ -170,6 +170,12 @@ class ModelFile(StrictRecord):
             OMEGA_FORMS[f.omega],
         )
 
+    def inertia_text(self, *inertias_nm_s2_per_rev: float) -> str:
+        """An inertia, or both ends of a range, in the unit of the file."""
+        linear = self.units == "linear"
+        numbers = [one if linear else units.inertia_kg_m2(one) for one in inertias_nm_s2_per_rev]
+        return f"{' to '.join(f'{number:.4g}' for number in numbers)} {'kg' if linear else 'kg m2'}"
+
     def axis_config(self) -> AxisConfig:
         """The kernel's constants of the whole axis."""
         inertia = units.inertia_nm_s2_per_rev(self.inertia_kg_m2.value)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..control.stability import LinearAxis, Margins, loop_margins
+from ..control.stability import LinearAxis, Margins, loop_margins, over_loads
 from ..documents import sentence
 from ..identification.tuning import DampingRange, Design, notch_text
 from ..model.parameters import ModelFile, Quantity
@@ -136,6 +136,18 @@ def estimate_text(ratio: float) -> str:
     )
 
 
+def loads_text(axis: LinearAxis, model: ModelFile) -> str:
+    """For which inertia the gains are, for the page and the terminal."""
+    own = model.inertia_text(axis.inertia_nm_s2_per_rev)
+    if axis.inertia_range_nm_s2_per_rev is None:
+        return (
+            f"assumed: the load never changes, the inertia is always the model's {own}. If it changes, tune with "
+            "--inertia-range LEAST LARGEST"
+        )
+    ends = model.inertia_text(*axis.inertia_range_nm_s2_per_rev)
+    return f"all margins hold with an inertia of {ends}; feed-forward has the model's {own}"
+
+
 def _first_command(source: TuneSource) -> str:
     commands = [command.split("#")[0].strip() for command in source.commands]
     return next(filter(None, commands))
@@ -203,6 +215,11 @@ def _margins(source: TuneSource, tuning: Tuning) -> Table:
     if axis.notches:
         without = loop_margins(axis._replace(notches=()), *gains.in_motion)
         rows.insert(2, _margin_row("the same gains without notches", without))
+    if axis.inertia_range_nm_s2_per_rev is not None:
+        loads = over_loads(axis)
+        for word, one in (("least", loads[0]), ("largest", loads[-1])):
+            label = f"the same, at the {word} inertia, {source.model.inertia_text(one.inertia_nm_s2_per_rev)}"
+            rows.append(_margin_row(label, loop_margins(one, *gains.in_motion)))
     corners = _corners(source, axis)
     if corners:
         found = [loop_margins(corner, *gains.in_motion) for corner in corners]
@@ -239,6 +256,7 @@ def _corners(source: TuneSource, axis: LinearAxis) -> list[LinearAxis]:
     reach = NORMAL_95 * inertia_nm_s2_per_rev(j_sd)
     return [
         axis._replace(
+            inertia_range_nm_s2_per_rev=None,
             inertia_nm_s2_per_rev=max(0.1 * axis.inertia_nm_s2_per_rev, axis.inertia_nm_s2_per_rev + sign * reach),
             delay_s=max(0.0, axis.delay_s + other * NORMAL_95 * delay_sd_s),
         )
@@ -291,6 +309,7 @@ def _axis(source: TuneSource, tuning: Tuning) -> Table:
     sigma, attraction = FRICTION["viscous_nm_per_rps"], FRICTION["attraction_nm_per_rev"]
     rows = [
         _inertia(model),
+        Row(label="loads", cells=[Cell(text="–"), Cell(text="–"), _text(loads_text(axis, model))]),
         _quantity(f"{sigma.greek}, smallest damping", sigma.unit, friction.viscous_nm_per_rps),
         _quantity(attraction.label, attraction.unit, friction.attraction_nm_per_rev),
         _quantity("Td, command to measured velocity", "s", model.delay_s),

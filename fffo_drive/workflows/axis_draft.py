@@ -1,7 +1,8 @@
 """The first axis file of a drive, from what the drive reports and people know: each value with its source.
 
 Its law is cautious: PI without friction observer, with a crossover far below what a servo axis can do, on an assumed
-inertia. It lets `fffo-drive commission` check signs, scales and delay; `identify` and `tune` then make the real law.
+inertia, or on the range of it that was given. It lets `fffo-drive commission` check signs, scales and delay; `identify`
+and `tune` then make the real law.
 """
 
 from __future__ import annotations
@@ -112,10 +113,11 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     speed_rps, speed_source = HIGHEST_SPEED_RPS, "assumed; raise it once the axis is known"
     if (rpm := objects.value(0x6080)) and SPEED_SHARE * rps_from_rpm(rpm) < HIGHEST_SPEED_RPS:
         speed_rps, speed_source = SPEED_SHARE * rps_from_rpm(rpm), f"read: 0.8 of 0x6080, {rpm} rpm"
-    law = first_law(inertia_kg_m2(facts).value, constant)
+    least, largest = inertia_ends_kg_m2(facts)
+    law = first_law(least, constant, largest / least)
     limit_a = max(peak * rated_a, rated_a)
     rate_hz = float(place.rate_hz.value)
-    rps2_per_a = constant / inertia_nm_s2_per_rev(inertia_kg_m2(facts).value)
+    rps2_per_a = constant / inertia_nm_s2_per_rev(least)
     most_a = ROUNDED_SHARE * most_current_a(speed_rps, rps2_per_a, rate_hz)
     if most_a < limit_a and not place.patience_ticks:
         limit_a, peak_source = most_a, "computed: with more the axis could run away in one tick without feedback"
@@ -144,8 +146,9 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
                 ),
                 (
                     "integral_a_per_rev",
-                    Fact(_rounded(law["integral_a_per_rev"]), f"assumed: Ti {RESET_TIME_S:g} s"),
+                    Fact(_rounded(law["integral_a_per_rev"]), f"assumed: Ti {law_reset_s(largest / least):.3g} s"),
                 ),
+                *([("inertia_range_kg_m2", loads)] if (loads := facts.scales.get("inertia_range_kg_m2")) else []),
                 ("current_limit_a", Fact(_rounded(continuous_a), "the rated current, or the envelope's limit")),
                 ("observer", Fact("{toggle: off}", "until the friction is identified")),
                 ("feedforward", Fact("{inertia: false}", "until the inertia is; `tune` switches on the whole law")),
@@ -192,12 +195,20 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     return "\n".join([*head, *lines]) + "\n"
 
 
-def first_law(inertia_kg_m2: float, torque_constant_nm_per_a: float) -> dict[str, Any]:
-    """Keys of the law before anything is identified: a slow PI, and no torque of an assumed friction or inertia."""
+def law_reset_s(ratio: float) -> float:
+    """Ti of the first law: the crossover falls by the ratio of the largest to the least inertia, and Ti follows it."""
+    return RESET_TIME_S * max(1.0, ratio)
+
+
+def first_law(inertia_kg_m2: float, torque_constant_nm_per_a: float, ratio: float = 1.0) -> dict[str, Any]:
+    """Keys of the law before anything is identified: a slow PI, and no torque of an assumed friction or inertia.
+
+    `inertia_kg_m2`: the least; `ratio`: of the largest to it.
+    """
     gain = TWO_PI * CROSSOVER_HZ * TWO_PI * inertia_kg_m2 / torque_constant_nm_per_a
     return {
         "proportional_a_per_rps": gain,
-        "integral_a_per_rev": gain / RESET_TIME_S,
+        "integral_a_per_rev": gain / law_reset_s(ratio),
         "observer": {"toggle": "off"},
         "feedforward": {"inertia": False},
     }
@@ -210,6 +221,14 @@ def inertia_kg_m2(facts: SourcedFacts) -> Fact:
     value = facts.scales["rated_torque_nm"].value / (TWO_PI * ACCELERATION_RPS2)
     source = f"{ASSUMED}the rated torque gives {ACCELERATION_RPS2:g} rps2; commission measures Kt/J"
     return Fact(float(f"{value:.3g}"), source)
+
+
+def inertia_ends_kg_m2(facts: SourcedFacts) -> tuple[float, float]:
+    """With the least and the largest load; the same twice where no range was given."""
+    own = inertia_kg_m2(facts).value
+    given = facts.scales.get("inertia_range_kg_m2")
+    ends = (own,) if given is None else (own, *given.value)
+    return min(ends), max(ends)
 
 
 def _model_text(place: Place, facts: SourcedFacts) -> str:

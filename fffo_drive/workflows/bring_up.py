@@ -33,8 +33,9 @@ from ..runtime.session import Session
 from ..system.bus import interface_bitrate_hz
 from ..system.findings import HostFinding, Severity, failure, ok, warning
 from ..system.host import Host
-from .axis_draft import Draft, Place, make_draft, model_file_of
+from .axis_draft import Draft, Place, inertia_kg_m2, make_draft, model_file_of
 from .drive_facts import OPTIONS, Answers, Fact, SourcedFacts, drive_facts, named_profile
+from .load_range import ask_range
 from .rate_trial import (
     RATES_HZ,
     Choice,
@@ -53,6 +54,7 @@ FEEDBACK_GAP_FACTOR = 3  # of the longest gap that was seen, on a loopback bus
 LEAST_PATIENCE_TICKS, MOST_PATIENCE_TICKS = 200, 10_000
 BOOT_S = 2.0  # for a node that was given an id
 LOOPBACK = "loopback:"
+LOADS = "loads"  # a question that follows all others
 
 
 class Talk(Protocol):
@@ -412,6 +414,10 @@ def _facts(objects: SdoObjects, wishes: Wishes, node: NodeName, talk: Talk) -> S
         scales = facts.scales
         wanted = [*facts.missing, *(name for name in OPTIONS if name in scales and scales[name].assumed)]
         name = next((one for one in wanted if one not in asked), None)
+        if name is None and "inertia_range_kg_m2" not in scales and LOADS not in asked and not facts.missing:
+            asked.add(LOADS)
+            answers = answers._replace(inertia_range_kg_m2=_loads(facts, talk))
+            continue
         if name is None:
             return facts
         asked.add(name)
@@ -421,6 +427,15 @@ def _facts(objects: SdoObjects, wishes: Wishes, node: NodeName, talk: Talk) -> S
         value = _number(answer)
         if value is not None and answer != proposal:
             answers = Answers(**{**answers._asdict(), name: round(value) if name == "counts_per_rev" else value})
+
+
+def _loads(facts: SourcedFacts, talk: Talk) -> tuple[float, float] | None:
+    """The range of inertia, asked for until the answer is one, or no."""
+    while True:
+        try:
+            return ask_range(f"{inertia_kg_m2(facts).value:.4g} kg m2", talk.ask)
+        except DocumentError as error:
+            talk.tell(str(error))
 
 
 def _number(text: str | None) -> float | None:

@@ -35,6 +35,7 @@ class Answers(NamedTuple):
     target_units_per_a: float | None = None
     feedback_units_per_a: float | None = None
     inertia_kg_m2: float | None = None
+    inertia_range_kg_m2: tuple[float, float] | None = None  # with all loads
 
 
 OPTIONS = {  # field of `Answers` -> (option, what is asked)
@@ -203,6 +204,8 @@ def _scales(
             found[key] = Fact(value, f"given ({OPTIONS[key][0]})")
     if answers.inertia_kg_m2 is not None:
         found["inertia_kg_m2"] = Fact(answers.inertia_kg_m2, "given (--inertia)")
+    if answers.inertia_range_kg_m2 is not None:
+        found["inertia_range_kg_m2"] = Fact(list(answers.inertia_range_kg_m2), "given (--inertia-range)")
     torque, current, constant = (
         found[name].value if name in found else None
         for name in ("rated_torque_nm", "rated_current_a", "torque_constant_nm_per_a")

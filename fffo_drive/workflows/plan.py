@@ -20,8 +20,9 @@ from ..config.commissioning import Permission, require_identity
 from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, effect_problems
+from ..config.profile_sections import ProfileSection
 from ..config.runaway import runaway_problems
-from ..config.sections import ProfileSection, length_problems
+from ..config.sections import length_problems
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
 from ..control.reference import Profile
 from ..documents import StrictRecord, check, parse, read_text, refuse, require_named

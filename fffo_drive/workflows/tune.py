@@ -31,10 +31,12 @@ from ..identification.tuning import (
 )
 from ..identification.uncertainty import ADVICE, UNKNOWN_SD
 from ..model.parameters import ModelFile
+from ..units import inertia_kg_m2
 
 LOCUS_POINTS = 61
 STEP_S = 0.4
 ROUNDING = 1e-6  # of margins
+NARROWER = (0.75, 0.5, 0.25, 0.0)  # of a range without gains, on a logarithmic scale: tried for a refusal
 
 
 class Tuned(NamedTuple):
@@ -70,7 +72,8 @@ def tune(
     Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
     elasticity make the delay of a rigid model too short; the longer of the two is designed for. A model with elasticity
     is designed for with its own delay, and with notches where they gain: commissioning takes the axis for rigid. An
-    axis that did not move as a single rigid inertia, and a model without effects, is a warning.
+    axis that did not move as a single rigid inertia, and a model without effects, is a warning. With a range of inertia
+    the margins hold over it.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
@@ -80,7 +83,7 @@ def tune(
     axis = axis._replace(notches=notches_for(axis, wish))
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
-    found = found._replace(warnings=(*found.warnings, *undetermined(model)))
+    found = found._replace(warnings=(*found.warnings, *undetermined(model), *outside_range(axis, model)))
     if longer_s > 0.0:
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
@@ -96,6 +99,7 @@ def tune(
         found = found._replace(warnings=(*found.warnings, text))
     slow_rps = stick_slip_rps(axis, model.friction_config(), found.gains.in_motion)
     if slow_rps is not None:
+        refuse_range(axis, wish, model)
         text = (
             f"from {slow_rps[0]:.2g} to {slow_rps[1]:.2g} rps expect stick-slip: the model's friction falls "
             "faster with speed than Kp can hold behind this delay. Move faster, shorten the delay, or change the "
@@ -113,6 +117,18 @@ def _by_notches(axis: LinearAxis, found: Design, wish: Wish) -> float:
         return math.inf
     kt = axis.torque_constant_nm_per_a
     return found.gains.integral_action_nm_per_rev(kt) / gains.integral_action_nm_per_rev(kt)
+
+
+def outside_range(axis: LinearAxis, model: ModelFile) -> list[str]:
+    """A sentence where the model's inertia is outside the declared range: it was identified with no load of it."""
+    ends = axis.inertia_range_nm_s2_per_rev
+    if ends is None or ends[0] <= axis.inertia_nm_s2_per_rev <= ends[1]:
+        return []
+    own = model.inertia_text(axis.inertia_nm_s2_per_rev)
+    return [
+        f"the model's inertia, {own}, is outside the range {model.inertia_text(*ends)}: the feed-forward of inertia "
+        "is wrong for each of its loads. Identify again with one of them"
+    ]
 
 
 def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
@@ -190,7 +206,7 @@ def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) 
 
     Every part is said, also where it is the default: what a file says, no later default changes.
     """
-    gains = {
+    gains: dict[str, Any] = {
         "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
         "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
@@ -202,6 +218,9 @@ def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) 
             "hold_a_per_rev_s": _rounded(found.gains.hold_a_per_rev_s),
         },
     }
+    if axis.inertia_range_nm_s2_per_rev is not None:
+        ends = [inertia_kg_m2(inertia) for inertia in axis.inertia_range_nm_s2_per_rev]
+        gains["inertia_range_kg_m2"] = [float(f"{inertia:.10g}") for inertia in ends]
     law: dict[str, Any] = formats.over(best_law(), gains)
     return gains | law
 
@@ -211,14 +230,19 @@ def section_text(section: dict[str, Any]) -> str:
     return yaml.safe_dump({"controller": section}, sort_keys=False)
 
 
-def write_tuned_axis(source: Path, out: Path, section: dict[str, Any], model: Path) -> Path:
+def write_tuned_axis(
+    source: Path, out: Path, section: dict[str, Any], model: Path, blind_ticks: int | None = None
+) -> Path:
     """Write a copy of an axis file with this section and model to the directory `out`; return its path.
 
-    Keys of the section that are not tuned are kept; an older file is brought up to date. Raises DocumentError, OSError.
+    `blind_ticks`: for `envelope.feedback_missing_ticks`; None: the file's own. Keys of the section that are not tuned
+    are kept; an older file is brought up to date. Raises DocumentError, OSError.
     """
     parsed, lines = parse(read_text(source), str(source))
     data = dict(up_to_date(parsed, formats.AXIS.kind, str(source), lines))
     data["controller"] = formats.over(data["controller"], section)
+    if blind_ticks is not None:
+        data["envelope"] = data["envelope"] | {"feedback_missing_ticks": blind_ticks}
     data["model"] = os.path.relpath(model.resolve(), out.resolve())
     drive = data["drive"] = dict(data["drive"])
     for place, key in ((drive, "file"), (drive, "eds"), (data, "commissioning")):
@@ -279,7 +303,8 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
         f"{wish.phase_margin_deg:g} deg and {wish.gain_margin:g} are required"
         f"{'' if axis.elastic == RIGID else f', with {resonance_text(axis)}'}. "
     )
-    free = design(axis, model.friction.attraction_nm_per_rev.value, wish._replace(bandwidth_hz=None))
+    free_wish = wish._replace(bandwidth_hz=None)
+    free = design(axis, model.friction.attraction_nm_per_rev.value, free_wish)
     if free.margins_observer.phase_deg >= wish.phase_margin_deg - ROUNDING and wish.bandwidth_hz is not None:
         crossover_hz = free.margins_pi.crossover_hz
         raise DocumentError(
@@ -288,4 +313,37 @@ def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFil
     remedy = "require smaller margins"
     if axis.elastic != RIGID:
         remedy = f"no notch helps: stiffen the coupling, damp the load, or {remedy}"
+    if axis.inertia_range_nm_s2_per_rev is not None:
+        text = f"with an inertia of {model.inertia_text(*axis.inertia_range_nm_s2_per_rev)} {text}"
+        narrower = _narrower(axis, free_wish, model)
+        if narrower is not None:
+            remedy = f"from {narrower} one does: give a narrower range (a file for each load), or {remedy}"
     raise DocumentError(f"{model.name}: {text}No crossover gives them: {remedy}")
+
+
+def refuse_range(axis: LinearAxis, wish: Wish, model: ModelFile) -> None:
+    """Refuse a range of inertia so wide that the axis would stick and slip, if it does not over a narrower one."""
+    if axis.inertia_range_nm_s2_per_rev is None:
+        return
+    narrower = _narrower(axis, wish, model)
+    if narrower is not None:
+        raise DocumentError(
+            f"{model.name}: gains that keep the margins with an inertia of "
+            f"{model.inertia_text(*axis.inertia_range_nm_s2_per_rev)} are so low that the axis would stick and slip. "
+            f"From {narrower} it would not: give a narrower range (a file for each load), or shorten the delay"
+        )
+
+
+def _narrower(axis: LinearAxis, wish: Wish, model: ModelFile) -> str | None:
+    """A part of the range, around the model's inertia, over which there are gains without stick-slip; None: not even
+    at that inertia.
+    """
+    assert axis.inertia_range_nm_s2_per_rev is not None
+    own = axis.inertia_nm_s2_per_rev
+    for share in NARROWER:
+        ends = [own * (end / own) ** share for end in axis.inertia_range_nm_s2_per_rev]
+        one = axis._replace(inertia_range_nm_s2_per_rev=(ends[0], ends[1]))
+        gains = gains_in_motion(one, wish)
+        if wish.is_met(loop_margins(one, *gains)) and stick_slip_rps(one, model.friction_config(), gains) is None:
+            return model.inertia_text(*ends)
+    return None

@@ -11,7 +11,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from fffo_drive.cli import main
 from fffo_drive.config.axis import build_profile
-from fffo_drive.config.sections import LoopSection, ProfileSection, duration_s, length_problems
+from fffo_drive.config.profile_sections import ProfileSection, duration_s
+from fffo_drive.config.sections import LoopSection, length_problems
 from fffo_drive.daemon.profiles import chosen_profile
 from fffo_drive.documents import DocumentError
 from fffo_drive.model.effects.registry import LAWS

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fffo_drive.config.axis import model_of, read_axis
-from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, PaperProfile, RestSection
+from fffo_drive.config.profile_sections import PaperProfile
+from fffo_drive.config.sections import AdaptationSection, FeedforwardSection, RestSection
 from fffo_drive.control.adaptation import (
     COULOMB_AT_BOUND,
     OFFSET_AT_BOUND,

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fffo_drive.control.stability import (
     ElasticLoad,
@@ -15,6 +17,7 @@ from fffo_drive.control.stability import (
     impedance_nm_per_rps,
     loop_delay_s,
     loop_margins,
+    over_loads,
     stick_slip_rps,
     stuck_axes,
 )
@@ -130,3 +133,67 @@ def test_a_loop_has_no_less_delay_than_its_period_and_half_of_one():
 def test_condition_14_fails_for_pi_alone_and_holds_from_l_of_3_2():
     assert condition_14_nm_per_rev(9.75, KT, 0.0, 2.33) == pytest.approx(1.443 - 4.66)
     assert condition_14_nm_per_rev(9.75, KT, 3.2, 2.33) < 0 < condition_14_nm_per_rev(9.75, KT, 3.22, 2.33)
+
+
+def test_another_load_leaves_the_motor_and_the_spring_as_they_are():
+    """Impedance of Jm beside Jl on the spring k and damper d, whatever Jl is; without a load only Jm."""
+    share, frequency_hz, zeta = 0.3, 110.0, 0.05
+    axis = LinearAxis(1e-3, 0.002, 0.003, KT, elastic=ElasticLoad(share, frequency_hz, zeta))
+    motor, load = (1.0 - share) * 1e-3, share * 1e-3
+    omega, reduced = 2.0 * math.pi * frequency_hz, motor * load / 1e-3
+    spring, damper = omega**2 * reduced, 2.0 * zeta * omega * reduced
+    s = 2j * math.pi * np.geomspace(1.0, 1000.0, 50)
+    for factor in (0.25, 1.0, 4.0):
+        joint = spring / s + damper
+        expected = motor * s + 0.002 + joint * factor * load * s / (joint + factor * load * s)
+        other = axis.with_inertia(motor + factor * load)
+        np.testing.assert_allclose(impedance_nm_per_rps(other, s), expected, rtol=1e-9)
+    for inertia in (motor, 0.9 * motor):
+        bare = impedance_nm_per_rps(axis.with_inertia(inertia), s)
+        np.testing.assert_allclose(bare, inertia * s + 0.002, rtol=1e-9)
+
+
+def test_the_margins_over_a_range_are_those_of_its_ends():
+    """An integrator with delay has its gain margin, pi / (2 wc Td) with wc = Kp Kt / J, from the least inertia; with an
+    integral the largest has the smallest phase margin: 90 deg - wc Td - atan(Ki / (Kp wc)).
+    """
+    axis = LinearAxis(1e-3, 0.0, 0.002, 0.1, inertia_range_nm_s2_per_rev=(0.4e-3, 5e-3))
+    margins = loop_margins(axis, 1.0, 0.0, 0.0)
+    assert margins.gain == pytest.approx(math.pi / 2 * 0.4e-3 / (0.1 * 0.002), rel=1e-3)
+    assert margins.phase_deg == pytest.approx(90.0 - math.degrees(0.1 / 0.4e-3 * 0.002), abs=0.1)
+    slow = loop_margins(axis, 1.0, 30.0, 0.0)
+    crossover = 2.0 * math.pi * slow.crossover_hz
+    assert 20.0 <= crossover <= 45.0  # of the largest: Kp Kt / J, raised by the integral
+    assert slow.phase_deg == pytest.approx(
+        90.0 - math.degrees(0.002 * crossover + math.atan(30.0 / crossover)), abs=0.1
+    )
+    assert slow.gain == pytest.approx(loop_margins(axis.with_inertia(0.4e-3), 1.0, 30.0, 0.0).gain)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.1, 1.0), st.floats(1.0, 10.0), st.floats(0.02, 0.6), st.floats(3.0, 30.0), st.floats(0.0, 5.0),
+    st.sampled_from((0.0, 5.0, 60.0)),
+)  # fmt: skip
+def test_no_rigid_load_inside_a_range_has_smaller_margins_than_the_worst_of_its_ends(
+    low, high, proportional, per_s, observer, contact
+):
+    axis = LinearAxis(1e-3, 0.003, 0.003, KT, contact, inertia_range_nm_s2_per_rev=(low * 1e-3, high * 1e-3))
+    gains = proportional, per_s * proportional, observer
+    worst = loop_margins(axis, *gains)
+    if worst.phase_deg < 0.0 or worst.gain < 1.0:
+        return  # not a stable loop: its margins say nothing
+    for inertia in np.geomspace(low * 1e-3, high * 1e-3, 7):
+        inside = loop_margins(axis.with_inertia(float(inertia)), *gains)
+        assert min(inside.phase_deg, 45.0) >= min(worst.phase_deg, 45.0) - 0.3  # beyond it on a spring: a round peak
+        assert inside.gain > worst.gain - 0.02
+
+
+def test_a_range_includes_the_model_and_counts_for_stick_slip():
+    axis = LinearAxis(2e-4, 0.003, 0.003, KT, inertia_range_nm_s2_per_rev=(1e-3, 5e-3))
+    assert [one.inertia_nm_s2_per_rev for one in over_loads(axis)] == pytest.approx([2e-4, 5e-3])
+    friction = read_model(TABLE_1).friction_config()
+    gains = 0.2, 0.8, 0.0
+    own, largest = (stick_slip_rps(axis.with_inertia(inertia), friction, gains) for inertia in (2e-4, 5e-3))
+    assert own is None
+    assert stick_slip_rps(axis, friction, gains) == largest is not None

@@ -19,7 +19,8 @@ import numpy as np
 from common import RESULTS, ROOT, made_by, progress_bar
 
 from fffo_drive.config.axis import AxisFile, beside, build_profile, model_of, read_axis
-from fffo_drive.config.sections import AdaptationSection, PaperProfile
+from fffo_drive.config.profile_sections import PaperProfile
+from fffo_drive.config.sections import AdaptationSection
 from fffo_drive.config.session import session_config
 from fffo_drive.config.simulated import read_simulated
 from fffo_drive.control.adaptation import EXCITED_SHARE, adaptation_at_start, adapted_torque

@@ -20,7 +20,7 @@ from rig import PERIOD_S, TABLE_1, record
 
 from fffo_drive.config.axis import AxisFile, build_profile, read_axis
 from fffo_drive.config.effects import compensated_terms, effect_problems
-from fffo_drive.config.sections import PaperProfile
+from fffo_drive.config.profile_sections import PaperProfile
 from fffo_drive.config.session import session_config
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD
 from fffo_drive.control.reference import Profile
