@@ -168,7 +168,7 @@ def _check(plan: Plan) -> None:
     from ..can.load import ChainStep
     from ..config.address import address_of, sandbox_problem
     from ..config.axis import loop_axis
-    from ..config.checks import bus_sum, law_margins
+    from ..config.checks import bus_sum, drive_limit_words, law_margins
     from ..config.drive_section import CanopenDriveSection
     from ..config.law_costs import law_costs
     from ..config.resolution import coarse_words, resolution_lines
@@ -206,7 +206,7 @@ def _check(plan: Plan) -> None:
         print(f"  {line}")
     directory = Path(axis.recording.directory)
     print(f"  recordings in {directory}: {life_text(expected_disk_life(axis, directory))}")
-    for text in (*accepted_words(axis, model), *coarse_words(axis, model)):
+    for text in (*accepted_words(axis, model), *drive_limit_words(axis, model), *coarse_words(axis, model)):
         print(f"  warning: {text}")
     limit_rps = axis.envelope.following_error_rps
     for cost in law_costs(axis, model, plan.profile, plan.toggle != TOGGLE_OFF):

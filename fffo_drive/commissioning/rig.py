@@ -17,7 +17,7 @@ from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import Profile
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED, has_torque
-from ..drive.port import Drive, DriveIdentity
+from ..drive.port import Drive, DriveIdentity, limit_words
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.runs import ENABLE_TIMEOUT_S, fault_text
@@ -73,6 +73,7 @@ class Rig:
         self.identity: DriveIdentity | None = None
         self.motion: PulseMotion | None = None  # the last that was made
         self._left_s = longest_s
+        self._limit_a = session.controller.current_limit_a  # of the law that the axis will have
         self._session = session._replace(
             controller=open_loop(session.controller),
             loop=session.loop._replace(tail_ticks=0),
@@ -84,6 +85,7 @@ class Rig:
     def under(self, envelope: EnvelopeConfig) -> Iterator[Runner]:
         """Bring the drive up and let the loop run with this envelope; at the end the drive is left without torque."""
         self.identity = self.drive.connect()
+        self.pass_on(limit_words(self._limit_a, self.drive.current_limit))
         with Session(self.drive, self._session._replace(envelope=envelope)) as session:
             session.request(b.TOGGLE, TOGGLE_OFF)
             if self.drive.realtime:
@@ -138,7 +140,7 @@ class Runner:
         tripped = motion.trip[motion.trip != TRIP_NONE]
         enabled = bool(motion.enabled.any())
         words = self.session.drive.fault_words(self._statusword) if tripped.size or not enabled else ""
-        self._rig.pass_on(self.session.drive.warnings())
+        self._rig.pass_on(self.session.warnings())
         return PulseRun(motion, int(tripped[0]) if tripped.size else TRIP_NONE, enabled, words)
 
     def _act(self, profile: Profile, watch_s: float, meanwhile: Callable[[], None] | None) -> None:

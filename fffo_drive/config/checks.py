@@ -20,8 +20,10 @@ from ..control.stability import (
 from ..control.velocity_estimator import velocity_noise_rps
 from ..documents import refuse
 from ..drive.canopen.config import HOST_S, ONE_MASTER, chain_of, load_of
+from ..drive.canopen.current_limit import MAX_TORQUE, least_limit
 from ..drive.canopen.object_map import MappingError
 from ..drive.canopen.silence import LIFE_GUARDING
+from ..drive.port import CurrentLimit, limit_words
 from ..identification.excitation import predict_motion
 from ..identification.tuning import resonance_text
 from ..model.parameters import ModelFile
@@ -282,6 +284,20 @@ def motion_problems(axis: AxisFile, profile: Profile, model: ModelFile) -> list[
             f"beyond envelope.position_window_rev {window}: lower its amplitude, raise its lowest frequency"
         )
     return problems
+
+
+def drive_limit_words(axis: AxisFile, model: ModelFile) -> list[str]:
+    """Of a law whose current limit is above the one that this file gives the drive."""
+    section = axis.drive
+    if not isinstance(section, CanopenDriveSection):
+        return []
+    written = {entry.object: entry.value for entry in section.sdo if entry.sub == 0 and entry.when != "after_disable"}
+    if section.max_torque_permille is not None:
+        written[MAX_TORQUE] = section.max_torque_permille
+    limit = least_limit(written.get, model.torque_constant_nm_per_a, section.rated_torque_nm, section.rated_current_a)
+    if section.current_limit_a is not None:
+        limit = CurrentLimit(section.current_limit_a, "drive.current_limit_a")
+    return limit_words(axis.controller.current_limit_a, limit)
 
 
 def require(path: str | Path, problems: list[str]) -> None:

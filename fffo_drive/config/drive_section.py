@@ -201,6 +201,15 @@ class CanopenDriveSection(StrictRecord):
     max_torque_permille: Annotated[
         int | None, Field(ge=1, le=65535, description="0x6072, torque limit in the drive; null: the drive's own")
     ] = None
+    current_limit_a: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            le=1e4,
+            description="current to which the drive limits itself, A: the law's limit is never above it; null: the "
+            "least of 0x6072, 0x6073, 0x60E0 and 0x60E1 as the drive has them",
+        ),
+    ] = None
     sdo: Annotated[
         list[SdoWriteSection],
         Field(default_factory=list, description="objects to write to this drive, in order"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ..drive.port import Drive, DriveIdentity
 from ..runtime import blocks as b
 from ..runtime.realtime import RealtimeReport
 from ..runtime.ring import HEAD, copy_row
-from ..runtime.session import LoopHungError, Session
+from ..runtime.session import LoopHungError, OnPaper, Session
 from ..workflows.plan import Plan, plan_session
 
 
@@ -73,12 +72,6 @@ class Connection:
     def clear(self) -> bool:
         """Whether no fault is latched, neither here nor in the drive."""
         return self.trip == TRIP_NONE and not self.in_fault()
-
-
-class OnPaper(NamedTuple):
-    """A drive that is not connected yet."""
-
-    port: Any
 
 
 def require_served(plan: Plan) -> None:

@@ -184,7 +184,7 @@ class Supervisor:
         now_s = self._clock()
         if self.connection is not None and self._watcher is not None:
             self.connection.beat()
-            for text in self.connection.drive.warnings():
+            for text in self.connection.session.warnings():
                 self.log.add("drive", text, Level.WARNING)
             reached = self._bounds.news(self.connection.session.status(b.ADAPTED_TO_BOUND))
             if reached is not None:

@@ -7,6 +7,7 @@ these. Its memory is a one-element array of `FEEDBACK`, written by the port and 
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -141,6 +142,26 @@ class DriveIdentity(NamedTuple):
     software_version: str
 
 
+class CurrentLimit(NamedTuple):
+    """The largest current of the drive itself."""
+
+    current_a: float  # inf: not known
+    source: str  # what says so
+
+
+NO_LIMIT = CurrentLimit(math.inf, "")
+
+
+def limit_words(asked_a: float, limit: CurrentLimit) -> list[str]:
+    """What there is to say of a law whose current limit is above the drive's own."""
+    if asked_a <= limit.current_a:
+        return []
+    return [
+        f"controller.current_limit_a is {asked_a:.4g} A, but the drive limits itself to {limit.current_a:.4g} A "
+        f"({limit.source}): the law takes that for its limit. Set the key to it, or raise the limit in the drive"
+    ]
+
+
 class DriveError(Exception):
     """The drive, or the connection to it, does not work as required. The text names object, value and remedy."""
 
@@ -172,6 +193,11 @@ class Drive(Protocol):
     @property
     def feedback(self) -> np.ndarray[Any, np.dtype[np.void]]:
         """The port's memory, shape (1,), dtype FEEDBACK."""
+        ...
+
+    @property
+    def current_limit(self) -> CurrentLimit:
+        """The drive's own limit, known from `connect` on: the law takes the smaller one of this and its own."""
         ...
 
     @property

@@ -185,7 +185,7 @@ def _watch(
     bounds = BoundWatch()
 
     def listen() -> None:
-        for text in session.drive.warnings():
+        for text in session.warnings():
             warnings.append(text)
             recorder.event(Level.WARNING, "drive", text)
         _warn_of_bounds(session, recorder, bounds, warnings)

@@ -20,7 +20,7 @@ from ..control.envelope import TRIP_NONE, EnvelopeConfig
 from ..control.reference import Profile
 from ..control.set_point import SetPoint
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
-from ..drive.port import Drive, port_now_ns
+from ..drive.port import NO_LIMIT, CurrentLimit, Drive, limit_words, port_now_ns
 from ..jit import INTERPRETED
 from ..jit.atomic import load_acquire, store_release
 from ..recording.run_records import FileStart, RecordBook, RunRecord
@@ -73,12 +73,24 @@ class SessionConfig(NamedTuple):
     model: ModelNote | None = None  # that the controller was made with
 
 
+class OnPaper(NamedTuple):
+    """A drive that is not connected yet, to compile the loop for its port."""
+
+    port: Any
+    current_limit: CurrentLimit = NO_LIMIT
+
+
 class PortHolder(Protocol):
     """The part of a drive that compilation needs."""
 
     @property
     def port(self) -> Any:
         """The compiled port."""
+        ...
+
+    @property
+    def current_limit(self) -> CurrentLimit:
+        """The drive's own."""
         ...
 
 
@@ -91,7 +103,8 @@ class Session:
 
     def __init__(self, drive: Drive, config: SessionConfig) -> None:
         self.drive = drive
-        self.config = config
+        self._limit_news: list[str] = []
+        self.config = config = config._replace(controller=self._within_drive(config.controller))
         self.blocks: Blocks = new_blocks(config.controller, config.longest_profile)
         if config.effects is not None:
             self.blocks.effects[:] = config.effects
@@ -160,8 +173,20 @@ class Session:
             with self._recorded(records.of_model(self._models, model)):
                 pass
 
+    def _within_drive(self, controller: ControllerConfig) -> ControllerConfig:
+        """With the drive's own current limit, where that is the smaller one: the law's anti-windup has to know it."""
+        limit = self.drive.current_limit
+        self._limit_news = limit_words(controller.current_limit_a, limit)
+        return controller._replace(current_limit_a=min(controller.current_limit_a, limit.current_a))
+
+    def warnings(self) -> list[str]:
+        """News since the last call that stop nothing, one sentence each: of the drive and its limits; never waits."""
+        said, self._limit_news = self._limit_news, []
+        return [*said, *self.drive.warnings()]
+
     def set_controller(self, controller: ControllerConfig) -> None:
-        """New gains and model, taken at a tick boundary."""
+        """New gains and model, taken at a tick boundary. The law's current limit is never above the drive's."""
+        controller = self._within_drive(controller)
         block = pack_controller(controller)
         with (
             self._asking,

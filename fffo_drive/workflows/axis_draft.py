@@ -18,9 +18,10 @@ from ..config.axis import AxisFile, default_blind_ticks
 from ..config.drive_profile import with_profile
 from ..config.runaway import most_current_a, most_ticks
 from ..documents import check, parse
+from ..drive.canopen.current_limit import least_limit
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..model.parameters import ModelFile
-from ..units import PERMILLE, TWO_PI, inertia_nm_s2_per_rev, rps_from_rpm
+from ..units import TWO_PI, inertia_nm_s2_per_rev, rps_from_rpm
 from .drive_facts import ASSUMED, Fact, SourcedFacts
 
 # assumptions about an axis before any measurement
@@ -107,15 +108,15 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     rated_a = float(facts.scales["rated_current_a"].value)
     constant = float(facts.scales["torque_constant_nm_per_a"].value)
     peak, peak_source = PEAK_FACTOR, "assumed: 1.5 of the rated current"
-    if allowed := objects.value(0x6073):
-        peak = min(PEAK_FACTOR, allowed / PERMILLE)
-        peak_source = f"read: 0x6073 allows {allowed / PERMILLE:g} of the rated current; at most 1.5 here"
+    own = least_limit(objects.value, constant, float(facts.scales["rated_torque_nm"].value), rated_a)
+    if own.current_a < PEAK_FACTOR * rated_a:
+        peak, peak_source = own.current_a / rated_a, f"read: the drive's own limit: {own.source}"
     speed_rps, speed_source = HIGHEST_SPEED_RPS, "assumed; raise it once the axis is known"
     if (rpm := objects.value(0x6080)) and SPEED_SHARE * rps_from_rpm(rpm) < HIGHEST_SPEED_RPS:
         speed_rps, speed_source = SPEED_SHARE * rps_from_rpm(rpm), f"read: 0.8 of 0x6080, {rpm} rpm"
     least, largest = inertia_ends_kg_m2(facts)
     law = first_law(least, constant, largest / least)
-    limit_a = max(peak * rated_a, rated_a)
+    limit_a = peak * rated_a
     rate_hz = float(place.rate_hz.value)
     rps2_per_a = constant / inertia_nm_s2_per_rev(least)
     most_a = ROUNDED_SHARE * most_current_a(speed_rps, rps2_per_a, rate_hz)

@@ -31,7 +31,7 @@ from ..drive.canopen.silence import RPDO_TIMER
 from ..drive.port import BusUnavailableError, DriveError
 from ..model.parameters import ModelFile
 from ..recording.ring_reader import RingReader
-from ..runtime.session import Session
+from ..runtime.session import OnPaper, Session
 from ..system.bus import bus_findings
 from ..system.findings import Severity, Wanted
 from ..system.host import Host
@@ -211,7 +211,7 @@ def try_rate(
     session_settings = session_config(axis, model, 2, 2 * ticks)._replace(realtime_required=False)
     try:
         drive = CanopenDrive(config)
-        Session.rehearse(_OnPaper(drive.rehearsal_port()), session_settings)
+        Session.rehearse(OnPaper(drive.rehearsal_port()), session_settings)
         drive.connect()
     except MappingError as error:
         return RateTrial(rate_hz, str(error))
@@ -239,10 +239,6 @@ def _patient(config: CanopenDriveConfig) -> CanopenDriveConfig:
         heartbeat_timeout_ms=max(config.heartbeat_timeout_ms, PATIENCE_MS),
         command_timeout_ms=PATIENCE_MS if config.silence_detection == RPDO_TIMER else 0,
     )
-
-
-class _OnPaper(NamedTuple):
-    port: Any
 
 
 def adapter_problem(bus: str, rate_hz: int, bitrate_hz: int, host: Host | None = None) -> str:

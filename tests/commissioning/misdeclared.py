@@ -115,6 +115,10 @@ class MisdeclaredDrive:
         return self.port.feedback
 
     @property
+    def current_limit(self):
+        return self.inner.current_limit
+
+    @property
     def realtime(self):
         return False
 

@@ -5,12 +5,17 @@ from __future__ import annotations
 import pytest
 from node.node_rig import OPERATION_ENABLED, Rig
 
+from fffo_drive.drive.simulated.node.config import NodeConfig
+from fffo_drive.drive.simulated.node.personality import Personality
+
 CYCLIC, PROFILE = 10, 4
 REACHED, LIMITED, FOLLOWS = 0x0400, 0x0800, 0x1000
 
 
-def enabled(mode: int = CYCLIC, setup: tuple[tuple[int, int, int, int], ...] = ()) -> Rig:
-    rig = Rig()
+def enabled(
+    mode: int = CYCLIC, setup: tuple[tuple[int, int, int, int], ...] = (), config: NodeConfig | None = None
+) -> Rig:
+    rig = Rig(config)
     rig.operational()
     for step in setup:
         assert rig.write(*step) == 0
@@ -61,6 +66,13 @@ def test_limits(index: int, forward: int, backward: int) -> None:
     assert target(rig, 200) == pytest.approx(200)
     assert rig.statusword & (LIMITED | FOLLOWS) == FOLLOWS
     assert rig.write(index, 0, rig.config.ratings.peak_permille + 1, 2) == 0x06090031
+
+
+def test_a_drive_that_does_not_show_its_limit_limits_all_the_same() -> None:
+    rig = enabled(config=NodeConfig(personality=Personality(limit_shown=False)))
+    assert rig.write(0x6073, 0, 250, 2) == 0
+    assert target(rig, 500) == pytest.approx(250)
+    assert rig.statusword & (LIMITED | FOLLOWS) == FOLLOWS
 
 
 def test_a_limit_of_the_plant_is_reported() -> None:

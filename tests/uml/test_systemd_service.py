@@ -61,10 +61,9 @@ COMPILE = """\
 import sys
 from fffo_drive.workflows.plan import make_plan, open_drive, plan_session
 from fffo_drive.config.simulated import read_simulated
-from fffo_drive.daemon.connection import OnPaper
 from fffo_drive.drive.simulated.node.process import rehearse
 from fffo_drive.jit import cache_directory
-from fffo_drive.runtime.session import Session
+from fffo_drive.runtime.session import OnPaper, Session
 plan = make_plan(sys.argv[1])
 Session.rehearse(OnPaper(open_drive(plan).rehearsal_port()), plan_session(plan))
 rehearse(read_simulated(sys.argv[2]))

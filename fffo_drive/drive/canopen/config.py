@@ -96,6 +96,7 @@ class CanopenDriveConfig:
     quick_stop_option: int | None = 2  # 0x605A: ramp, then switch on disabled
     fault_reaction_option: int | None = 2  # 0x605E: quick stop ramp
     max_torque_permille: int | None = None  # 0x6072
+    current_limit_a: float | None = None  # of the drive; None: what its objects say
     sdo: tuple[SdoWrite, ...] = ()  # further objects that this drive needs
     warning_codes: tuple[int, ...] = ()  # EMCY codes that are only warnings: reported, without a stop
     unserved_status_bits: tuple[int, ...] = ()  # of the statusword: 9, 12

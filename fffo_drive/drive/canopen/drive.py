@@ -17,9 +17,18 @@ from ...can.frame import pack_frame
 from ...can.lease import BusHeldError, BusLease
 from ...can.link import Link, LinkError, open_link
 from ..cia402 import CONTROL_DISABLE_VOLTAGE, STATUS_FAULT
-from ..port import BusOccupiedError, BusUnavailableError, DriveError, DriveIdentity, DriveRefusedError
+from ..port import (
+    NO_LIMIT,
+    BusOccupiedError,
+    BusUnavailableError,
+    CurrentLimit,
+    DriveError,
+    DriveIdentity,
+    DriveRefusedError,
+)
 from .bring_up import bring_up, start
 from .config import ONE_MASTER, CanopenDriveConfig
+from .current_limit import read_current_limit
 from .cyclic import CanopenPort
 from .eds import check_eds, check_identity, load_eds
 from .emergency import AskedWords, WarningNews, asked_words, burst_text, standing, statusword_text
@@ -53,6 +62,7 @@ class CanopenDrive:
         self._service: Service | None = None
         self._link: Link | None = None
         self._port: CanopenPort | None = None
+        self._limit = NO_LIMIT
         self._lock = threading.Lock()
         self._news = WarningNews(config.warning_codes)
         self._settings: SettingsWatch | None = None
@@ -108,6 +118,7 @@ class CanopenDrive:
                 link, config.node_id, queue, config.answer_timeout_s, config.attempts, lengths, withdrawn
             )
             identity = bring_up(self._service, config, self._check_identity)
+            self._limit = read_current_limit(self._service, config)
             self._link = open_link(config.bus, filters=self._cyclic_filters())
             self._port = make_port(config, self._link, queue.memory)
             start(self._service, config, self._send_sync)
@@ -170,6 +181,11 @@ class CanopenDrive:
     def _sent_by_loop(self) -> int:
         port = self.port
         return int(port.memory[SEND_ATTEMPTS]) - int(port.feedback["send_errors"][0])
+
+    @property
+    def current_limit(self) -> CurrentLimit:
+        """As read when the drive was connected."""
+        return self._limit
 
     @property
     def realtime(self) -> bool:

@@ -17,6 +17,7 @@ from ...jit import njit
 from ...units import NS_PER_S, permille_per_a
 from ..port import (
     NMT_OPERATIONAL,
+    CurrentLimit,
     DriveIdentity,
     new_feedback,
     port_command,
@@ -250,6 +251,11 @@ class SimulatedDrive:
         """Remove the fault's cause. The device stays in FAULT until it is reset by the controlword."""
         self._port.words[FAULT_PRESENT] = 0
         self._port.feedback[0]["emergency_code"] = 0
+
+    @property
+    def current_limit(self) -> CurrentLimit:
+        """Of its power stage."""
+        return CurrentLimit(self.plant_config.peak_current_a, "the simulated drive's plant.peak_current_a")
 
     def fault_words(self, statusword: int | None = None, ask: bool = True) -> str:
         """Nothing: its statusword is in every row."""

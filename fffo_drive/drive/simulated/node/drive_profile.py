@@ -93,6 +93,7 @@ class NodeDrive:
         self._register_slot = od.slots[multiplexer(0x1001, 0)]
         self._max_speed_slot = od.slots[multiplexer(MAX_SPEED, 0)]
         self._follows = personality.command_following == "shown"
+        self._shows_limit = personality.limit_shown
         self._obeys_target = personality.command_following != "refused"
         self._millivolts = 1000.0 * personality.dc_link_share
         self._without_power = (
@@ -427,7 +428,7 @@ class NodeDrive:
             bits |= cia402.SW_WARNING
         if self.state == cia402.OPERATION_ENABLED:
             mode = self.od.values[self._mode_slot]
-            limited = self.setpoint.limited or self.plant.limited
+            limited = self._shows_limit and (self.setpoint.limited or self.plant.limited)
             if limited:
                 bits |= cia402.SW_INTERNAL_LIMIT
             if mode == MODE_CYCLIC_TORQUE and self._brake is None and not limited and self._follows:

@@ -30,6 +30,7 @@ class Personality:
     command_following: Literal["shown", "not_shown", "refused"] = note(
         "shown", "statusword bit 12: shown; not_shown: 0 although the target acts; refused: 0, and no target acts"
     )
+    limit_shown: bool = note(True, "statusword bit 11; false: the drive limits its torque without a word")
     keeps_torque: bool = note(False, "keeps its state and torque when it leaves NMT operational, whatever 0x6007 says")
     starts_itself: bool = note(False, "goes OPERATIONAL after boot-up without its master, whatever 0x1F80 says")
     remote: bool = note(True, "statusword bit 9; false: the drive is in local control and takes no controlword")
