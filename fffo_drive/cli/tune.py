@@ -27,10 +27,10 @@ from ..report.tune_figures import Tuning
 from ..units import text_on
 from ..workflows.load_range import ask_range, range_of, with_range
 from ..workflows.tune import (
-    allowed_by_estimate,
     require_positive,
     section_text,
     tune,
+    worth_of_estimate,
     write_tuned_axis,
 )
 
@@ -69,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--inertia-range",
+        "--mass-range",
         type=float,
         nargs=2,
         metavar=("LEAST", "LARGEST"),
@@ -115,7 +116,7 @@ def execute(options: argparse.Namespace) -> int:
     measured = commissioned(options.axis, axis_file) if axis_file else NOT_COMMISSIONED
     tuned = tune(model, axis, wish, measured, hold_dead_band_rev(axis_file))
     found = tuned.design
-    more = allowed_by_estimate(axis_file, model, wish, measured, found) if axis_file else None
+    more = worth_of_estimate(axis_file, model, wish, measured, tuned) if axis_file else None
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     copy = [] if options.axis is None else [Path(options.axis).name]
@@ -128,7 +129,7 @@ def execute(options: argparse.Namespace) -> int:
     text = section_text(section)
     written = [out / GAINS_NAME]
     written[0].write_text(text, encoding="utf-8")
-    result = tuned.summary() | {"integral_action_on_the_estimate": more}
+    result = tuned.summary() | {"on_the_estimate": None if more is None else more._asdict()}
     ticks = fewer_ticks(axis_file, model) if axis_file and axis_file.controller.inertia_range_kg_m2 else None
     if options.axis:
         written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model), ticks))

@@ -224,7 +224,7 @@ def loop_margins(
     axis: LinearAxis, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
     hold_a_per_rev_s: float = 0.0,
 ) -> Margins:  # fmt: skip
-    """Phase and gain margin of PI plus observer on the linearised axis, with its delay, its filter and its notches, at worst.
+    """Phase and gain margin of PI plus observer on the linearised axis, with its delay, its filter and its notches.
 
     `hold_a_per_rev_s`: the integral of the position at rest. The position is no older than the velocity.
     """

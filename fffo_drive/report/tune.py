@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from ..control.stability import LinearAxis, Margins, loop_margins, over_loads
 from ..documents import sentence
+from ..identification.estimate_gain import EstimateWorth
 from ..identification.tuning import DampingRange, Design, notch_text
 from ..model.parameters import ModelFile, Quantity
 from ..symbols import FRICTION
@@ -44,7 +45,7 @@ class TuneSource(NamedTuple):
     section: str  # the controller section, as YAML
     written: Sequence[Path]  # files, the axis file last where there is one
     commands: Sequence[str]
-    on_the_estimate: float | None = None  # Ki Kt + L there, over that of the design; None: no gain, or in use
+    on_the_estimate: EstimateWorth | None = None  # None: no gain, or in use
 
 
 def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> Report:
@@ -128,11 +129,14 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
     )
 
 
-def estimate_text(ratio: float) -> str:
-    """What the estimated velocity would allow, for the page and the terminal."""
+def estimate_text(worth: EstimateWorth) -> str:
+    """What the estimated velocity would gain, for the page and the terminal."""
+    more, left = significant(worth.integral_ratio, 2), significant(100.0 * worth.error_ratio, 2)
     return (
-        f"with `controller.velocity: {{source: estimated}}` the same margins allow {significant(ratio, 2)} times the "
-        "integral action Ki Kt + L; to use the estimate, set this key in the axis file and tune again"
+        f"with `controller.velocity: {{source: estimated}}` the same margins allow {more} times the integral action "
+        f"Ki Kt + L, which leaves {left} % of the squared error that friction outside the model makes. The counts of "
+        f"the position then make steps of {significant(worth.step_a, 2)} A rms in the command, noise of the sensor "
+        "more. To use the estimate, set this key in the axis file and tune again"
     )
 
 
@@ -142,7 +146,7 @@ def loads_text(axis: LinearAxis, model: ModelFile) -> str:
     if axis.inertia_range_nm_s2_per_rev is None:
         return (
             f"assumed: the load never changes, the inertia is always the model's {own}. If it changes, tune with "
-            "--inertia-range LEAST LARGEST"
+            f"{'--mass-range' if model.units == 'linear' else '--inertia-range'} LEAST LARGEST"
         )
     ends = model.inertia_text(*axis.inertia_range_nm_s2_per_rev)
     return f"all margins hold with an inertia of {ends}; feed-forward has the model's {own}"

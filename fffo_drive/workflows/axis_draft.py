@@ -18,7 +18,7 @@ from ..config.axis import AxisFile, default_blind_ticks
 from ..config.drive_profile import with_profile
 from ..config.runaway import most_current_a, most_ticks
 from ..documents import check, parse
-from ..drive.canopen.current_limit import least_limit
+from ..drive.canopen.current_limit import MAX_TORQUE, least_limit
 from ..drive.canopen.sdo_objects import SdoObjects
 from ..model.parameters import ModelFile
 from ..units import TWO_PI, inertia_nm_s2_per_rev, rps_from_rpm
@@ -108,7 +108,13 @@ def _axis_text(place: Place, facts: SourcedFacts, objects: SdoObjects) -> str:
     rated_a = float(facts.scales["rated_current_a"].value)
     constant = float(facts.scales["torque_constant_nm_per_a"].value)
     peak, peak_source = PEAK_FACTOR, "assumed: 1.5 of the rated current"
-    own = least_limit(objects.value, constant, float(facts.scales["rated_torque_nm"].value), rated_a)
+    written = {MAX_TORQUE: facts.profile_keys.get("max_torque_permille")}
+    own = least_limit(
+        lambda index: written.get(index) or objects.value(index),
+        constant,
+        float(facts.scales["rated_torque_nm"].value),
+        rated_a,
+    )
     if own.current_a < PEAK_FACTOR * rated_a:
         peak, peak_source = own.current_a / rated_a, f"read: the drive's own limit: {own.source}"
     speed_rps, speed_source = HIGHEST_SPEED_RPS, "assumed; raise it once the axis is known"

@@ -15,9 +15,10 @@ from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
-from ..config.sections import best_law
+from ..config.sections import NotchSection, best_law
 from ..control.stability import RIGID, LinearAxis, loop_margins, stick_slip_rps, stuck_axes
 from ..documents import DocumentError, parse, read_text, up_to_date
+from ..identification.estimate_gain import EstimateWorth, squared_error_of_a_step, step_of_command_a
 from ..identification.tuning import (
     Design,
     Gains,
@@ -36,6 +37,7 @@ from ..units import inertia_kg_m2
 LOCUS_POINTS = 61
 STEP_S = 0.4
 ROUNDING = 1e-6  # of margins
+WORTH_ERROR_RATIO = 0.8  # of squared errors: above it, noise decides, which is not known here
 NARROWER = (0.75, 0.5, 0.25, 0.0)  # of a range without gains, on a logarithmic scale: tried for a refusal
 
 
@@ -136,15 +138,17 @@ def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
     return commissioned.unexplained_share > 0.0 and not model.effects
 
 
-def allowed_by_estimate(
-    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned, found: Design
-) -> float | None:
-    """How many times the integral action Ki Kt + L the same margins allow where the velocity is estimated.
+def worth_of_estimate(
+    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned, found: Tuned
+) -> EstimateWorth | None:
+    """What the estimated velocity would gain over a tuning, at the same margins.
 
-    None where the file has the estimate already, or the loop cannot have it or gains nothing.
+    None where the file has the estimate already; where the loop cannot have it; where by its delay alone what friction
+    outside the model leaves would not be clearly less, as behind a fast sensor; and where the axis is known to be
+    unlike the model, whose inertia the estimate believes.
     """
     controller = axis_file.controller
-    if controller.velocity.estimated:
+    if controller.velocity.estimated or needs_diagnosis(model, commissioned):
         return None
     velocity = controller.velocity.model_copy(update={"source": "estimated"})
     estimated = controller.model_copy(update={"velocity": velocity})
@@ -161,17 +165,24 @@ def allowed_by_estimate(
         update={
             "proportional_a_per_rps": gains.proportional_a_per_rps,
             "integral_a_per_rev": gains.integral_a_per_rev,
+            "notches": [NotchSection(**notch._asdict()) for notch in tuned.axis.notches],
             "observer": estimated.observer.model_copy(update={"gain_nm_per_rev": gains.observer_nm_per_rev}),
             "at_rest": estimated.at_rest.model_copy(
                 update={"gain_share": gains.rest_share, "hold_a_per_rev_s": gains.hold_a_per_rev_s}
             ),
         }
     )
-    if fallback_problems(other.model_copy(update={"controller": estimated}), model, observer_on=True):
+    other = other.model_copy(update={"controller": estimated})
+    if velocity_problems(other, model) or fallback_problems(other, model, observer_on=True):
         return None
     kt = model.torque_constant_nm_per_a
-    ratio = gains.integral_action_nm_per_rev(kt) / found.gains.integral_action_nm_per_rev(kt)
-    return ratio if ratio > 1.0 else None
+    own = found.design.gains
+    worth = EstimateWorth(
+        gains.integral_action_nm_per_rev(kt) / own.integral_action_nm_per_rev(kt),
+        squared_error_of_a_step(tuned.axis, gains) / squared_error_of_a_step(found.axis, own),
+        step_of_command_a(tuned.axis, gains, dead_band_rev / math.sqrt(12.0)),
+    )
+    return worth if worth.error_ratio <= WORTH_ERROR_RATIO else None
 
 
 def undetermined(model: ModelFile) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -153,7 +154,12 @@ def test_the_files_are_read_by_every_command_and_hold_what_is_known(tmp_path):
     section, envelope = plan.axis.drive, plan.axis.envelope
     assert (section.counts, section.velocity_units_per_rps, section.node_id) == (4096, 60.0, 1)
     assert section.turnaround_us == 80.0
-    assert (envelope.continuous_current_a, envelope.current_limit_a) == (10.0, 15.0)  # 0x6073 allows 2, 1.5 is taken
+    # 0x6073 allows twice the rated current, 0x6072 the rated torque
+    assert (envelope.continuous_current_a, envelope.current_limit_a) == (10.0, 10.0)
+    objects = plain_drive({(0x6072, 0): struct.pack("<H", 1800)})
+    (tmp_path / "more").mkdir()
+    envelope = written(tmp_path / "more", facts_of(objects), objects, where).axis.envelope
+    assert (envelope.continuous_current_a, envelope.current_limit_a) == (10.0, 15.0)  # no more than 1.5 is taken
     assert envelope.speed_limit_rps == 25.0
     assert plan.axis.commissioning == "axis.commissioning.yaml"
     # the assumed inertia: the rated torque accelerates it by so much
@@ -166,7 +172,8 @@ def test_the_files_are_read_by_every_command_and_hold_what_is_known(tmp_path):
 
 
 def test_the_drives_own_limits_are_kept_and_a_free_master_id_is_found(tmp_path):
-    objects = plain_drive({(0x6080, 0): u32(600), (0x6073, 0): (1200).to_bytes(2, "little")})
+    limits = {(index, 0): number.to_bytes(2, "little") for index, number in ((0x6072, 2000), (0x6073, 1200))}
+    objects = plain_drive({(0x6080, 0): u32(600)} | limits)
     where = place(node_id=127, other_nodes=(126,))
     plan = written(tmp_path, facts_of(objects, node_id=127), objects, where)
     assert plan.axis.envelope.speed_limit_rps == pytest.approx(8.0)  # 0.8 of 600 rpm

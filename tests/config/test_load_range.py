@@ -172,7 +172,7 @@ def test_the_range_of_a_linear_axis_is_a_mass(made, tmp_path, capsys):
     file = tmp_path / "linear.yaml"
     file.write_text(yaml.safe_dump(model))
     ends = [f"{0.5 * mass:.8g}", f"{2.0 * mass:.8g}"]
-    assert main(["tune", str(file), "--out", str(tmp_path / "out"), "--inertia-range", *ends]) == 0
+    assert main(["tune", str(file), "--out", str(tmp_path / "out"), "--mass-range", *ends]) == 0
     assert f"all margins hold with a mass of {0.5 * mass:.4g} to {2.0 * mass:.4g} kg" in capsys.readouterr().out
     section = yaml.safe_load((tmp_path / "out" / "controller.yaml").read_text())["controller"]
     assert section["inertia_range_kg_m2"] == pytest.approx([0.5 * OWN, 2.0 * OWN], rel=1e-6)

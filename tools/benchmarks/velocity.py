@@ -4,7 +4,8 @@
 
 The paper's scenario with friction 10 % wrong, with a flat reference and with f^-0.5, on two tracking loops of the drive
 (the end-to-end delay is 3 ms with both). Each law is an axis file that `tune` wrote for the example's axis file with
-this `velocity:` section, run as it is. Writes results/velocity.md beside this file.
+this `velocity:` section, run as it is. Then the drive's velocity and the estimate on sensors of three speeds, whose
+position has white or coloured noise. Writes results/velocity.md beside this file.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -21,22 +23,32 @@ import yaml
 from chain_files import tuned_file
 from common import RESULTS, ROOT, made_by, progress_bar
 
-from fffo_drive.config.axis import AxisFile, read_axis
+from fffo_drive.config.axis import AxisFile, loop_axis, read_axis
 from fffo_drive.config.checks import law_margins, rest_margins
 from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
 from fffo_drive.config.sections import VelocitySection
 from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS
+from fffo_drive.control.stability import LinearAxis
 from fffo_drive.evaluation.campaign import Case, simulate, warm_up
 from fffo_drive.evaluation.compare import MetricComparison, compare_metric
 from fffo_drive.evaluation.measures import measure
 from fffo_drive.evaluation.reversal import FAST_RPS2
 from fffo_drive.evaluation.trace import trace_of
 from fffo_drive.evaluation.workers import over_cores
+from fffo_drive.identification.estimate_gain import squared_error_of_a_step, step_of_command_a
+from fffo_drive.identification.tuning import Gains
 from fffo_drive.model.parameters import write_model
 from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
+from fffo_drive.workflows.tune import WORTH_ERROR_RATIO
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper_wrong_friction.yaml"
 TRACKING_HZ = {"fast sensor": 400.0, "slow sensor": 179.0}  # the second one lags by 1.6 ms
+SPEEDS_HZ = (1000.0, 400.0, 200.0)  # of tracking loops, with each of these noises
+NOISES: dict[str, dict[str, float]] = {
+    "as it is": {},
+    "coloured: converter's noise x 4, behind the tracking loop": {"noise_rev": 6e-5},
+    "white: position of 13 bits": {"bits": 13},
+}
 SLOPES = {"flat": 0.0, "f^-0.5": -0.5}
 BANDWIDTHS_HZ = (100.0, 200.0, 300.0, 390.0)
 DEFAULT_HZ = VelocitySection().bandwidth_hz
@@ -168,6 +180,53 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
     return [*lines, "", f"The estimate was in use in at least {min(shares):.2%} of the ticks of a run.", ""]
 
 
+def worth(axis: AxisFile, scenario: Scenario) -> tuple[LinearAxis, Gains]:
+    """What the worth of the estimate is computed from."""
+    law = axis.controller
+    gains = Gains(law.proportional_a_per_rps, law.integral_a_per_rev, law.observer.gain_nm_per_rev)
+    return loop_axis(axis, scenario.model), gains
+
+
+def noise(duration_s: float, seeds: int) -> list[str]:
+    """Markdown: what the estimate gains and what its command costs, by the speed of the sensor and its noise."""
+    lines = [
+        "## By sensor and noise",
+        "",
+        f"`tune` on the drive's velocity and on the estimate of {DEFAULT_HZ:g} Hz; true ISE in per cent of that on the",
+        "drive's. Predicted: the squared error of a step of friction outside the model, by which `tune` decides",
+        f"whether to propose the estimate (below {100.0 * WORTH_ERROR_RATIO:g} %). Counts: steps that the counts of",
+        "the position alone make in the command.",
+        "",
+        "| tracking loop | noise of the position | predicted | true ISE, flat | true ISE, f^-0.5 | "
+        "rms of step, mA: drive | estimated | ratio | counts |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    name = f"{ESTIMATED} {DEFAULT_HZ:g} Hz"
+    for tracking_hz in SPEEDS_HZ:
+        right = with_sensor(tracking_hz, 0.0, duration_s, seeds)
+        axes = {PLUS: tuned(right, {}), name: tuned(right, {"velocity": {"source": "estimated"}})}
+        own, other = (worth(axis, right) for axis in axes.values())
+        predicted = squared_error_of_a_step(*other) / squared_error_of_a_step(*own)
+        for text, changes in NOISES.items():
+            cells, steps_a = [], []
+            for slope in SLOPES.values():
+                scenario = with_sensor(tracking_hz, slope, duration_s, seeds)
+                plant: Any = scenario.plant
+                plant = replace(plant, resolver=replace(plant.resolver, **changes))
+                runs = evaluate(scenario._replace(plant=plant), axes, f"{tracking_hz:g} Hz, {text}")
+                ises = {key: np.array([run.true_ise for run in found]) for key, found in runs.items()}
+                cells.append(percent(compare_metric(ises, PLUS), name))
+                steps_a.append([float(np.mean([run.step_rms_a for run in found])) for found in runs.values()])
+            drive_a, estimated_a = np.mean(steps_a, axis=0)
+            counted_a = step_of_command_a(*other, 2.0**-plant.resolver.bits / math.sqrt(12.0))
+            lines.append(
+                f"| {tracking_hz:g} Hz, {1e3 * right.model.sensor_delay_s.value:.2f} ms | {text} | "
+                f"{100.0 * predicted:.0f} | {cells[0]} | {cells[1]} | {1e3 * drive_a:.1f} | {1e3 * estimated_a:.1f} | "
+                f"{estimated_a / drive_a:.2f} | {1e3 * counted_a:.1f} |"
+            )
+    return [*lines, ""]
+
+
 def wrong_inertia(sensor: str, duration_s: float, seeds: int) -> list[str]:
     """Markdown of one sensor: a model with another inertia, which feed-forward and estimate believe alike."""
     right = with_sensor(TRACKING_HZ[sensor], SLOPES["flat"], duration_s, seeds)
@@ -210,6 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     for sensor in TRACKING_HZ:
         lines += table(sensor, options.duration_s, options.seeds)
+    lines += noise(options.duration_s, options.seeds)
     for sensor in TRACKING_HZ:
         lines += wrong_inertia(sensor, options.duration_s, options.seeds)
     lines.append(made_by("velocity.py"))
