@@ -108,7 +108,7 @@ class World:
 
     def __init__(self, daemon: Streaming, client: DaemonClient, shaft: ShaftOnBus, plan: Plan) -> None:
         self.daemon, self.client, self.shaft = daemon, client, shaft
-        self.draw = random.Random(15)
+        self.draw, self.seen = random.Random(15), ""
         section = plan.axis.daemon
         self.lease_s, self.silence_s = section.set_points.jog_timeout_s, section.client_silence_s
         self.stop_s = longest_stop_s(plan, RPS) + SETTLES_S
@@ -125,22 +125,26 @@ class World:
 
     def stop(self, number: int) -> int:
         """One of the ways to stop. Returns from when on nothing may move: its acknowledgement, or with `wait_s: 0`,
-        which does not wait for the braking ramp, so much later.
+        which does not wait for the braking ramp, when the service no longer brakes.
         """
         time.sleep(self.draw.uniform(0.0, LONGEST_DELAY_S))
         method = ("stop", "stop", "disable", "quick_stop")[number % 4]
-        if number % 4 == 1:
-            self.client.call(method, wait_s=0)
-            return time.time_ns() + int(1e9 * self.stop_s)
-        self.client.call(method, wait_s=PATIENCE_S)
+        at_once = number % 4 == 1
+        self.client.call(method, wait_s=0 if at_once else PATIENCE_S)
+        if at_once:
+            while self.client.call("status")["state"] == "stopping":
+                time.sleep(0.002)
         acknowledged_ns = time.time_ns()
         if method != "stop":
             self.client.call("enable")
         return acknowledged_ns
 
     def moved(self, since_ns: int) -> bool:
-        """Whether the shaft moved in the time that it is watched from then on."""
-        return self.shaft.moved_rev(since_ns, WATCHED_S) > STANDSTILL_RPS * WATCHED_S
+        """Whether the shaft moved in the time that it is watched from then on; `seen` says how."""
+        travel_rev = self.shaft.moved_rev(since_ns, WATCHED_S)
+        status = self.client.call("status")
+        self.seen = f"{travel_rev:.4f} rev, then {status['state']}: {status['last_stop']}"
+        return travel_rev > STANDSTILL_RPS * WATCHED_S
 
     def beyond_s(self, last_ns: int, limit_s: float) -> float:
         """Motion beyond this limit and the braking ramp, counted from the last sign of a client's life."""
@@ -162,7 +166,7 @@ class World:
                 done, refused, moved = done + 1, refused + found[0], moved + found[1]
                 beyond_s = max(beyond_s, found[2])
                 if found[1]:
-                    wrong.append(f"{attack}, race {number}: moved after the stop")
+                    wrong.append(f"{attack}, race {number}: moved after the stop by {self.seen}")
                 if progress is not None:
                     progress((number + 1) / count)
         return Tally(attack, done, refused, moved, beyond_s, wrong)
@@ -278,8 +282,8 @@ def motion_after_stop(count: int, side_by_side: int) -> Section:
         f"Each stop by `stop`, `stop` with `wait_s: 0`, `disable` and `quick_stop` in turn, the last two with an "
         f"`enable` behind them, a random 0 to {1e3 * LONGEST_DELAY_S:g} ms after the axis turns. Moved: the position "
         f"that the drive sends on the bus changes by more than {STANDSTILL_RPS * WATCHED_S:g} rev within {WATCHED_S:g} "
-        f"s of the acknowledgement; with `wait_s: 0`, which does not wait, from {world.stop_s:.2g} s after it, the "
-        "longest braking ramp. Every second client of a stream opens a connection for each set point.",
+        "s of the acknowledgement; with `wait_s: 0`, which does not wait, from when the service no longer brakes. "
+        "Every second client of a stream opens a connection for each set point.",
         f"Beyond the lease: from the freezing or the end of the client to the last motion of the shaft, less the lease "
         f"({world.lease_s:g} s; {world.silence_s:g} s of silence for `--hold`) and the longest braking ramp. A "
         "client that is continued first renews, then insists with new requests, of its epoch and of none.",
