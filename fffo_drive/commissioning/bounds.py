@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..control.controller import ControllerConfig
+from ..control.adaptation import NO_ADAPTATION
+from ..control.controller import AS_IN_MOTION, ControllerConfig
 from ..control.envelope import (
     REACTION_QUICK_STOP,
     TRIP_OVERSPEED,
     TRIP_POSITION_WINDOW,
     EnvelopeConfig,
 )
-from ..control.feedforward import NO_FEEDFORWARD
+from ..control.feedforward import NO_FEEDFORWARD, FeedforwardConfig
+from ..control.notch import NO_NOTCHES
 from ..control.pi import PiConfig
+from ..control.velocity_estimator import DRIVE_VELOCITY
 
 CURRENT_SHARE = 0.5  # of the continuous current
 SPEED_SHARE = 0.5  # of the speed limit
@@ -86,8 +89,31 @@ def bounded_envelope(envelope: EnvelopeConfig, bounds: Bounds, start_rev: float)
         speed_limit_rps=TRIP_SHARE * bounds.speed_rps,
         position_low_rev=start_rev - TRIP_SHARE * bounds.travel_rev,
         position_high_rev=start_rev + TRIP_SHARE * bounds.travel_rev,
-        following_error_rps=NEVER,  # no loop is closed: there is nothing to follow
+        following_error_rps=NEVER,  # no loop is closed, or a slow one: there is nothing to follow
         reactions=reactions,
+    )
+
+
+class SlowLoop(NamedTuple):
+    """A velocity loop that is far slower than any resonance that is looked for, beside a current that is planned."""
+
+    proportional_a_per_rps: float
+    integral_a_per_rev: float
+    error_share: float  # of a new error that is taken in a period: above, a resonance is not fed back
+    behind_ticks: float  # from a command to the velocity that shows it
+
+
+def slow_loop(controller: ControllerConfig, loop: SlowLoop, current_limit_a: float) -> ControllerConfig:
+    """The law of the axis file reduced to this loop. What a profile has as derivative is its planned current, in A."""
+    return controller._replace(
+        pi=PiConfig(loop.proportional_a_per_rps, loop.integral_a_per_rev),
+        feedforward=FeedforwardConfig(controller.torque_constant_nm_per_a, 0.0, loop.behind_ticks),
+        current_limit_a=current_limit_a,
+        error_share=loop.error_share,
+        rest=AS_IN_MOTION,
+        velocity=DRIVE_VELOCITY,
+        adaptation=NO_ADAPTATION,
+        notches=NO_NOTCHES,
     )
 
 

@@ -28,6 +28,7 @@ CHECKS = {
     "speed_limit": "beyond the speed limit the axis is stopped",
     "position_window": "outside the position window the axis is stopped",
     "quick_stop": "quick stop brakes harder than friction alone",
+    "resonance": "response to a small sweep: whether a load swings on a spring",
 }
 
 

@@ -27,6 +27,7 @@ class PulseMotion(NamedTuple):
     braking: Bools  # the drive reports Quick Stop Active
     limits: Integers
     trip: Integers
+    sample: Integers  # of the profile; -1 without one
 
     @property
     def size(self) -> int:
@@ -55,6 +56,7 @@ def motion_of(rows: np.ndarray[Any, np.dtype[np.void]]) -> PulseMotion:
         states == STATE_QUICK_STOP_ACTIVE,
         fresh["limits"].astype(np.int64),
         fresh["trip"].astype(np.int64),
+        fresh["profile_sample"].astype(np.int64),
     )
 
 

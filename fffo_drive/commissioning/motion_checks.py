@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.parameters import ModelFile
+from ..units import NORMAL_95
 from .estimate import GainFit, HeldCurrent, ScaleFit
 from .judge import Range, factor, graded, judged, within
 from .motion import PulseMotion, PulseResponse
 from .objects import NamePlate
-from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts
+from .record import FAILED, OK, WARNING, CheckRecord, DeclaredFacts, ResponseRecord
 
 MOVED_REV = 0.02  # beyond gear play and the elasticity of friction at rest
 STILL_REV = 0.005
@@ -276,3 +277,32 @@ def static_friction(breakaway_a: float, beliefs: Beliefs) -> CheckRecord:
     return graded(
         "static_friction", measured_nm, beliefs.static_nm, limits, "Nm", text, remedy, {"current_a": breakaway_a}
     )
+
+
+def resonance(found: ResponseRecord | str) -> CheckRecord:
+    """What the sweep showed; text: why there was none."""
+    if isinstance(found, str):
+        remedy = (
+            "`tune` takes the axis for a rigid one: if something elastic hangs on it, commission again with a larger "
+            "--current or --speed, or diagnose its recordings before the gains are raised"
+        )
+        return judged("resonance", WARNING, f"the response was not measured: {found}", remedy)
+    band = f"{found.frequency_hz[0]:.0f} to {found.frequency_hz[-1]:.0f} Hz"
+    numbers = {"delay_s": found.delay_s, "gain_rps2_per_a": found.gain_rps2_per_a, "evidence": found.evidence}
+    moved = (
+        f"the axis went to and fro with at most {found.swing.largest_rps:.2g} rps over {found.swing.travel_rev:.2g} rev"
+    )
+    load = found.elastic
+    if load is None:
+        return judged("resonance", OK, f"none from {band}; {moved}", numbers=numbers)
+    text = (
+        f"{100.0 * load.share:.0f} +- {100.0 * NORMAL_95 * load.share_sd:.1g} % of the inertia swings on a spring at "
+        f"{load.frequency_hz:.4g} +- {NORMAL_95 * load.frequency_sd_hz:.2g} Hz, damping ratio {load.damping:.2g}, "
+        f"antiresonance at {load.antiresonance_hz:.4g} Hz; {moved}"
+    )
+    remedy = (
+        "a belt, a coupling, a shaft or a gear that twists: stiffen it if the loop is to be fast. `tune` holds its "
+        "margins on this response"
+    )
+    numbers |= {"frequency_hz": load.frequency_hz, "share": load.share, "damping": load.damping}
+    return judged("resonance", WARNING, text, remedy, numbers)

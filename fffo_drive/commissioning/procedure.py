@@ -44,8 +44,9 @@ from .judge import CHECKS, judged, not_done
 from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
 from .objects import NamePlate, ObjectSource, read_name_plate, read_number
-from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts
+from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts, ResponseRecord
 from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
+from .sweep import Sweeps, response_record
 
 LISTEN_S = 0.5
 REST_TAIL_S = 0.05
@@ -95,6 +96,7 @@ class CommissioningOutcome(NamedTuple):
 
     identity: DriveIdentity
     checks: list[CheckRecord]
+    response: ResponseRecord | None  # to the sweep; None: it was not measured
 
 
 class _SurpriseError(Exception):
@@ -144,6 +146,7 @@ def commission(
         envelope = bounded_envelope(session.envelope, bounds, procedure.rest_rev)
         probe = procedure.move(envelope)
         procedure.limits(envelope, probe)
+        procedure.sweep(envelope, probe)
     except _SurpriseError as surprise:
         reason = str(surprise)
     except TimeBoundError:
@@ -160,7 +163,7 @@ def commission(
             seen(check, None)
     if declined is not None:
         raise declined
-    return CommissioningOutcome(identity, checks)
+    return CommissioningOutcome(identity, checks, procedure.response)
 
 
 class _Procedure:
@@ -178,6 +181,8 @@ class _Procedure:
         self.plate = NamePlate()
         self.rest_rev = 0.0
         self.noise_rps = 0.0
+        self.gain: GainFit | None = None
+        self.response: ResponseRecord | None = None
 
     def add(self, *checks: CheckRecord) -> None:
         """Keep results, and stop at one that failed."""
@@ -394,7 +399,8 @@ class _Procedure:
         if gain.unexplained > RIGID_UNEXPLAINED:
             self._is_not_rigid(gain.unexplained)
         self.add(motion_checks.delay(gain.delay_s, period_s, beliefs))
-        self.add(motion_checks.torque_per_inertia(self._trusted_gain(gain.gain_rps2_per_a, scale), beliefs))
+        self.gain = gain._replace(gain_rps2_per_a=self._trusted_gain(gain.gain_rps2_per_a, scale))
+        self.add(motion_checks.torque_per_inertia(self.gain.gain_rps2_per_a, beliefs))
         self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
 
     def _is_unexplained(self, probe: _Probe, slid: GainFit | None, scale_suspected: bool) -> None:
@@ -473,6 +479,52 @@ class _Procedure:
             ),
             limit_checks.quick_stop([over_speed, outside], probe.motions),
         )
+
+    # -- the sweep -------------------------------------------------------------------------------------------------
+
+    def sweep(self, envelope: EnvelopeConfig, probe: _Probe) -> None:
+        """Swing the axis to and fro with a small sweep on top, and fit what it answers."""
+        bounds = self.bounds
+        assert self.gain is not None  # measured before any limit was provoked
+        sweeps = Sweeps(bounds, probe.breakaway_a, self.gain, self.rig.period_s)
+        low_hz, high_hz = sweeps.band_hz
+        self.ask(
+            f"a sweep from {low_hz:g} to {high_hz:g} Hz while the axis slides to and fro with about "
+            f"{sweeps.swing.speed_rps:.2g} rps, for some seconds; at most {bounds.current_a:.3g} A, "
+            f"{bounds.speed_rps:.3g} rps and {bounds.travel_rev:.3g} rev from where it began",
+            "resonance",
+        )
+        self.tell(f"sweep from {low_hz:g} to {high_hz:g} Hz")
+        try:
+            refusal = self._swing(envelope, sweeps)
+        except TimeBoundError:
+            refusal = f"the axis has moved for {bounds.time_s:g} s, which is the limit"
+        if refusal is None:
+            self.response = response_record(sweeps)
+        self.add(motion_checks.resonance(self.response or str(refusal)))
+        if self.response is not None and self.response.elastic is not None:
+            # a pulse takes a motor with a load on a spring for another rigid inertia, with another delay
+            self.add(motion_checks.delay(self.response.delay_s, self.rig.period_s, self.beliefs))
+            self.add(motion_checks.torque_per_inertia(self.response.gain_rps2_per_a, self.beliefs))
+
+    def _swing(self, envelope: EnvelopeConfig, sweeps: Sweeps) -> str | None:
+        """Let the axis slide under the sweep until its response is measured; text: why it is not."""
+        while not sweeps.done:
+            with self.rig.under(envelope, sweeps.loop) as runner:  # a new session after each trip
+                run: PulseRun | None = None
+                while not sweeps.done and (run is None or run.fault_text is None):
+                    profile = sweeps.next()
+                    if profile is None:
+                        return "no current within the bounds makes the axis slide to and fro at a steady speed"
+                    run = runner.run(profile)
+                    self._note_rest(run.motion)
+                    if run.fault_text is None:
+                        sweeps.made(run.motion)
+            if run is not None and run.fault_text is not None:
+                if run.trip != TRIP_OVERSPEED:
+                    return run.fault_text
+                sweeps.ease()
+        return None
 
     def _resolution_a(self) -> float:
         """One thousandth of the rated torque, as current."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -108,6 +109,51 @@ class CheckRecord(StrictRecord):
     numbers: Annotated[dict[str, float], Field(description="what else was measured")] = Field(default_factory=dict)
 
 
+class SwingRecord(StrictRecord):
+    """How the axis was moved for its response, and how far it went."""
+
+    speed_rps: Annotated[float, Field(description="with which it slid to and fro")]
+    swing_hz: Annotated[float, Field(description="how often")]
+    sweep_rps: Annotated[float, Field(description="amplitude of the sweep where inertia alone is moved ...")]
+    most_sweep_a: Annotated[float, Field(description="... with no more current than this")]
+    largest_a: Annotated[float, Field(description="largest command")]
+    largest_rps: Annotated[float, Field(description="highest speed")]
+    travel_rev: Annotated[float, Field(description="from the lowest to the highest position")]
+
+
+class ElasticRecord(StrictRecord):
+    """A load on a damped spring, as the effect `elasticity` has it, with standard deviations."""
+
+    share: Annotated[float, Field(description="of the inertia")]
+    share_sd: Annotated[float, Field(description="standard deviation of share")]
+    frequency_hz: Annotated[float, Field(description="resonance of motor against load")]
+    frequency_sd_hz: Annotated[float, Field(description="standard deviation of frequency_hz")]
+    damping: Annotated[float, Field(description="damping ratio of the resonance")]
+    damping_sd: Annotated[float, Field(description="standard deviation of damping")]
+
+    @property
+    def antiresonance_hz(self) -> float:
+        """Where the load takes the torque, and the motor stands."""
+        return self.frequency_hz * math.sqrt(1.0 - self.share)
+
+
+class ResponseRecord(StrictRecord):
+    """Velocity over current of the sliding axis, from the command to the drive's own velocity, and the fit to it."""
+
+    swing: SwingRecord
+    frequency_hz: Annotated[list[float], Field(description="rising")]
+    gain_rps_per_a: Annotated[list[float], Field(description="velocity over current")]
+    phase_deg: Annotated[list[float], Field(description="of velocity behind current, with every delay between them")]
+    coherence: Annotated[list[float], Field(description="share of the answer that repeats with the sweep")]
+    gain_rps2_per_a: Annotated[float, Field(description="Kt/J of motor and load")]
+    delay_s: Annotated[float, Field(description="from a command to the velocity that shows it, without the hold")]
+    hold_s: Annotated[float, Field(description="half a period: a command is held that long on average")]
+    damping_per_s: Annotated[float, Field(description="friction of the swing over the inertia")]
+    contact_per_s2: Annotated[float, Field(description="stiffness of the contact, while it reverses, over the inertia")]
+    evidence: Annotated[float, Field(description="F of an elastic load against none; above 25 it is there")]
+    elastic: Annotated[ElasticRecord | None, Field(description="null: none was found in this band")] = None
+
+
 class CommissioningRecord(StrictRecord):
     """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
 
@@ -128,9 +174,16 @@ class CommissioningRecord(StrictRecord):
         Field(description="of all checks together; failed: also where one was not done"),
     ]
     checks: Annotated[list[CheckRecord], Field(description="what was checked")]
+    response: Annotated[ResponseRecord | None, Field(description="to the sweep; null: it was not measured")] = None
     content_hash: Annotated[
         str | None, Field(description="SHA-256 of all else, written by the program; without it a file is refused")
     ] = None
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Records without a response keep their hash."""
+        found: dict[str, Any] = dump(self)
+        return {key: value for key, value in found.items() if key != "response" or value is not None}
 
     @property
     def passed(self) -> bool:
@@ -155,12 +208,23 @@ def content_hash(record: CommissioningRecord) -> str:
     return _digest(record.model_dump(mode="json", exclude={"content_hash"}))
 
 
+class _Dumper(yaml.SafeDumper):
+    """Lists of numbers in lines, not a line for each number."""
+
+
+def _list_node(dumper: yaml.SafeDumper, data: list[Any]) -> yaml.SequenceNode:
+    numbers = bool(data) and all(isinstance(value, float) for value in data)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=numbers or None)
+
+
+_Dumper.add_representer(list, _list_node)
+
+
 def write_record(path: Path, record: CommissioningRecord) -> CommissioningRecord:
     """Write a record with its content hash, in one step: a record is whole or not there. Returns it. Raises OSError."""
     stamped = record.model_copy(update={"content_hash": content_hash(record)})
-    text = yaml.safe_dump(
-        stamped.model_dump(mode="json", exclude_none=True), sort_keys=False, width=110, allow_unicode=True
-    )
+    content = stamped.model_dump(mode="json", exclude_none=True)
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=110, allow_unicode=True)
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     os.replace(part, path)

@@ -22,7 +22,7 @@ from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.runs import ENABLE_TIMEOUT_S, fault_text
 from ..runtime.session import Session, SessionConfig
-from .bounds import open_loop
+from .bounds import SlowLoop, open_loop, slow_loop
 from .motion import PulseMotion, motion_of
 
 ENABLE_S = 0.5  # simulated time for the way to Operation Enabled
@@ -73,7 +73,7 @@ class Rig:
         self.identity: DriveIdentity | None = None
         self.motion: PulseMotion | None = None  # the last that was made
         self._left_s = longest_s
-        self._limit_a = session.controller.current_limit_a  # of the law that the axis will have
+        self._controller = session.controller  # of the law that the axis will have
         self._session = session._replace(
             controller=open_loop(session.controller),
             loop=session.loop._replace(tail_ticks=0),
@@ -82,11 +82,17 @@ class Rig:
         )
 
     @contextmanager
-    def under(self, envelope: EnvelopeConfig) -> Iterator[Runner]:
-        """Bring the drive up and let the loop run with this envelope; at the end the drive is left without torque."""
+    def under(self, envelope: EnvelopeConfig, loop: SlowLoop | None = None) -> Iterator[Runner]:
+        """Bring the drive up and let the loop run with this envelope; at the end the drive is left without torque.
+
+        `loop`: closed around a profile of velocity; None: no loop is closed.
+        """
         self.identity = self.drive.connect()
-        self.pass_on(limit_words(self._limit_a, self.drive.current_limit))
-        with Session(self.drive, self._session._replace(envelope=envelope)) as session:
+        self.pass_on(limit_words(self._controller.current_limit_a, self.drive.current_limit))
+        settings = self._session._replace(envelope=envelope)
+        if loop is not None:
+            settings = settings._replace(controller=slow_loop(self._controller, loop, envelope.current_limit_a))
+        with Session(self.drive, settings) as session:
             session.request(b.TOGGLE, TOGGLE_OFF)
             if self.drive.realtime:
                 for refusal in set(session.start().refusals) - self._reported:

@@ -66,6 +66,17 @@ class ElasticLoad(NamedTuple):
 RIGID = ElasticLoad()
 
 
+class MeasuredResponse(NamedTuple):
+    """What a measured axis is in its band, over what inertia and elastic load make of it there; beyond the band: 1.
+
+    Torque over velocity, both without friction and without a delay: friction, contact and delay are the axis' own, and
+    a resonance sharper than the points are dense is in the elastic load, so that the ratio is smooth.
+    """
+
+    frequencies_hz: tuple[float, ...]  # (n,) rising
+    ratio: tuple[complex, ...]  # (n,)
+
+
 class LinearAxis(NamedTuple):
     """The axis linearised at one amplitude."""
 
@@ -81,6 +92,7 @@ class LinearAxis(NamedTuple):
     period_s: float = 0.0  # of the loop, in which the notches are sampled
     resonance_spread: float = 0.0  # share by which the resonance of the elastic load may differ, either way
     inertia_range_nm_s2_per_rev: tuple[float, float] | None = None  # least and largest load; None: one load
+    measured: MeasuredResponse | None = None  # of inertia and elastic load, in its band
 
     def with_inertia(self, inertia_nm_s2_per_rev: float) -> LinearAxis:
         """The same axis with another load, and no range: motor, spring and the spring's damping are the same.
@@ -117,14 +129,22 @@ def condition_14_nm_per_rev(
 
 def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
     """Torque over velocity of the motor shaft, without the delay; s and the result (n,)."""
-    share, frequency_hz, damping_ratio = axis.elastic
-    inertia = (1.0 - share) * axis.inertia_nm_s2_per_rev * s
-    impedance = inertia + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
-    if share > 0.0:
-        omega = 2.0 * math.pi * frequency_hz
-        joint = (1.0 - share) * (omega * omega / s + 2.0 * damping_ratio * omega)  # over the inertia of the load
-        impedance = impedance + share * axis.inertia_nm_s2_per_rev * joint * s / (s + joint)
-    return impedance
+    moved = mechanics_nm_per_rps(axis.inertia_nm_s2_per_rev, axis.elastic, s)
+    if axis.measured is not None:
+        measured_hz = np.array(axis.measured.frequencies_hz)
+        ratio = np.interp(np.abs(s) / (2.0 * math.pi), measured_hz, np.array(axis.measured.ratio), 1.0, 1.0)
+        moved = moved * ratio
+    return moved + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+
+
+def mechanics_nm_per_rps(inertia_nm_s2_per_rev: float, elastic: ElasticLoad, s: Complexes) -> Complexes:
+    """Torque over velocity of the motor shaft by its inertia and what hangs on it, without friction; s (n,)."""
+    share, frequency_hz, damping_ratio = elastic
+    if share <= 0.0:
+        return inertia_nm_s2_per_rev * s
+    omega = 2.0 * math.pi * frequency_hz
+    joint = (1.0 - share) * (omega * omega / s + 2.0 * damping_ratio * omega)  # over the inertia of the load
+    return inertia_nm_s2_per_rev * ((1.0 - share) * s + share * joint * s / (s + joint))
 
 
 def notch_response(notches: Sequence[Notch], s: Complexes, period_s: float) -> Complexes:
@@ -155,6 +175,11 @@ def over_loads(axis: LinearAxis) -> tuple[LinearAxis, ...]:
     least, most = min(*axis.inertia_range_nm_s2_per_rev, own), max(*axis.inertia_range_nm_s2_per_rev, own)
     places = np.geomspace(least, most, ELASTIC_LOADS if axis.elastic.share > 0.0 else 2).tolist()
     return tuple(axis.with_inertia(inertia) for inertia in places)
+
+
+def spread_of(frequency_hz: float, sd_hz: float | None) -> float:
+    """Share by which a resonance may differ, either way."""
+    return max(RESONANCE_SPREAD, min(NORMAL_95 * (sd_hz or 0.0) / frequency_hz, LARGEST_SPREAD))
 
 
 def over_resonances(axis: LinearAxis) -> tuple[LinearAxis, ...]:
@@ -306,7 +331,7 @@ def linear_axis(
     if elastic:
         share, resonance, damping = (elastic[0].parameters[name] for name in ELASTIC_PARAMETERS)
         found = ElasticLoad(share.value, resonance.value, damping.value)
-        spread = max(RESONANCE_SPREAD, min(NORMAL_95 * (resonance.sd or 0.0) / resonance.value, LARGEST_SPREAD))
+        spread = spread_of(resonance.value, resonance.sd)
     axis = LinearAxis(
         config.inertia_nm_s2_per_rev,
         config.friction.viscous_nm_per_rps,

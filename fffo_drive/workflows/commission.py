@@ -89,6 +89,7 @@ def commission_axis(
         bounds=BoundsRecord(**bounds._asdict()),
         verdict=overall(outcome.checks),
         checks=outcome.checks,
+        response=outcome.response,
     )
     return write_record(out, record)
 

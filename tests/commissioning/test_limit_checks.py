@@ -27,7 +27,7 @@ def motion(velocity, command=0.0, trip_row=None, trip=TRIP_OVERSPEED, leave_row=
     tripped = np.where(rows >= (n if trip_row is None else trip_row), trip, 0)
     return PulseMotion(
         time_s, command, velocity, integral(time_s, velocity), command.copy(), np.ones(n, bool), enabled,
-        ~enabled, np.full(n, limits), tripped,
+        ~enabled, np.full(n, limits), tripped, np.full(n, -1),
     )  # fmt: skip
 
 
