@@ -22,7 +22,7 @@ from ..documents import DocumentError
 from ..identification.tuning import Wish, notch_text
 from ..model.parameters import ModelFile, read_model
 from ..report.page import refuse_other_report, write_report
-from ..report.tune import TuneSource, estimate_text, loads_text, range_text, tune_report
+from ..report.tune import TuneSource, estimate_text, loads_text, range_text, response_text, tune_report
 from ..report.tune_figures import Tuning
 from ..units import text_on
 from ..workflows.load_range import ask_range, range_of, with_range
@@ -226,4 +226,5 @@ def _lines(tuning: Tuning) -> list[str]:
         f"observer, settled in {1e3 * found.settled_s:.0f} ms",
         f"friction damping may vary {range_text(found.without_overshoot)} with real poles, "
         f"{range_text(found.within_margins)} within the margins",
+        response_text(tuning.axis),
     ]

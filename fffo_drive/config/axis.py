@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from .. import formats
+from ..commissioning.record import ResponseRecord
 from ..control import envelope as env
 from ..control.adaptation import NO_ADAPTATION, AdaptationConfig
 from ..control.controller import ControllerConfig, RestConfig
@@ -44,6 +45,7 @@ from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S
 from .drive_profile import with_profile
 from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
+from .measured_axis import response_in, with_response
 from .names import LONGEST_NAME, FileName
 from .profile_sections import (
     DecideProfile,
@@ -105,6 +107,17 @@ class AxisFile(StrictRecord):
         Field(description="record of `fffo-drive commission`, relative to this file; a drive on a bus needs one"),
     ] = None
 
+    _place: Path | None = PrivateAttr(default=None)  # the file that it was read from
+
+    def response(self) -> ResponseRecord | None:
+        """What commissioning measured; None where the file names no record, or a record without it.
+
+        An axis file of `bring-up` names its record before there is one. Raises DocumentError for one that was edited.
+        """
+        if self._place is None or self.commissioning is None:
+            return None
+        return response_in(beside(self._place, self.commissioning))
+
     @model_validator(mode="after")
     def _consistent(self) -> AxisFile:
         unknown = sorted(set(self.envelope.reactions) - set(TRIPS))
@@ -139,6 +152,7 @@ def read_axis(path: str | Path) -> AxisFile:
     sections = {"profile": axis.profile, **{f"daemon.profiles.{name}": s for name, s in axis.daemon.profiles.items()}}
     found = [(key, text) for key, section in sections.items() for text in length_problems(section, axis.loop)]
     refuse(path, [(key, text.removeprefix("profile: ")) for key, text in found])
+    axis._place = path
     return axis
 
 
@@ -207,12 +221,16 @@ def velocity_config(axis: AxisFile, model: ModelFile) -> VelocityEstimatorConfig
 
 
 def loop_axis(axis: AxisFile, model: ModelFile) -> LinearAxis:
-    """The sliding axis as the loop of this file meets it: delay, filter and notches of the error, and its loads."""
+    """The sliding axis as the loop of this file meets it, and as commissioning measured it: delay, filter and notches
+    of the error, and its loads. Raises DocumentError for a record that was edited.
+    """
     section = axis.controller
-    found = linear_axis(
+    known = linear_axis(
         model, axis.loop.period_s, velocity_config(axis, model), section.error_filter_s, section.inertia_range_kg_m2
     )
-    return found._replace(notches=notches_of(section))
+    known = known._replace(notches=notches_of(section))
+    response = axis.response()
+    return known if response is None else with_response(known, model, response)
 
 
 def default_axis(

@@ -14,6 +14,7 @@ from ..commissioning.record import (
     CheckRecord,
     CommissioningRecord,
     DeclaredFacts,
+    ResponseRecord,
     fact_differences,
     identity_differences,
     read_record,
@@ -101,6 +102,7 @@ class Commissioned(NamedTuple):
 
     delay_s: float | None = None  # command to measured velocity, without the hold
     unexplained_share: float = 0.0  # of the velocity variance, by a single rigid inertia; 0 where it was no warning
+    response: ResponseRecord | None = None  # to the sweep
 
 
 NOT_COMMISSIONED = Commissioned()
@@ -113,7 +115,8 @@ def commissioned(path: str | Path, axis: AxisFile) -> Commissioned:
     """
     if axis.commissioning is None or not (file := beside(path, axis.commissioning)).exists():
         return NOT_COMMISSIONED
-    return commissioned_in(read_record(file).checks)
+    record = read_record(file)
+    return commissioned_in(record.checks)._replace(response=record.response)
 
 
 def commissioned_in(checks: Iterable[CheckRecord]) -> Commissioned:

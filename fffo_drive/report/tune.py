@@ -94,6 +94,7 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
         else f"Poles are real from Kp {significant(bound)} A/rps{share}. {_condition_14(design)}",
         f"The friction damping may vary {range_text(design.without_overshoot)} with real poles, "
         f"{range_text(design.within_margins)} within the margins.",
+        sentence(response_text(tuning.axis)),
     ]
     notches = notch_text(tuning.axis, tuning.by_notches)
     if notches is not None:
@@ -150,6 +151,14 @@ def loads_text(axis: LinearAxis, model: ModelFile) -> str:
         )
     ends = model.inertia_text(*axis.inertia_range_nm_s2_per_rev)
     return f"all margins hold with an inertia of {ends}; feed-forward has the model's {own}"
+
+
+def response_text(axis: LinearAxis) -> str:
+    """What the margins stand on, for the page and the terminal."""
+    if axis.measured is None:
+        return "margins by the model alone: no response was measured (`fffo-drive commission` does; then give --axis)"
+    low_hz, high_hz = (axis.measured.frequencies_hz[k] for k in (0, -1))
+    return f"margins on the response that commissioning measured from {low_hz:.0f} to {high_hz:.0f} Hz"
 
 
 def _first_command(source: TuneSource) -> str:

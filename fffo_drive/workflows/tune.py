@@ -72,15 +72,20 @@ def tune(
     """Choose gains for the linear axis of a model. Raises DocumentError if none has the required margins.
 
     Also where a bandwidth or damping ratio is not above 0. `commissioned`: what commissioning measured. Backlash and
-    elasticity make the delay of a rigid model too short; the longer of the two is designed for. A model with elasticity
-    is designed for with its own delay, and with notches where they gain: commissioning takes the axis for rigid. An
-    axis that did not move as a single rigid inertia, and a model without effects, is a warning. With a range of inertia
-    the margins hold over it.
+    elasticity make the delay of a rigid model too short; the longer of the two is designed for. Where commissioning
+    took an elastic axis for a rigid one, because its record has no response, the model's own delay counts. Notches are
+    chosen where they gain. An axis that moved unlike a single rigid inertia, which neither the response nor an effect
+    of the model explains, is a warning. With a range of inertia the margins hold over it.
     `dead_band_rev`: of the position hold, in general its resolution.
     """
     require_positive(bandwidth_hz=wish.bandwidth_hz, damping_ratio=wish.damping_ratio)
-    longer_s = max(0.0, (commissioned.delay_s or 0.0) - model.delay_s.value) if axis.elastic == RIGID else 0.0
-    axis = axis._replace(delay_s=axis.delay_s + longer_s)
+    if commissioned.response is not None and axis.measured is not None:  # it has the longer delay already
+        delay_s, added_s = commissioned.response.delay_s, 0.0
+    else:
+        delay_s = (commissioned.delay_s or 0.0) if axis.elastic == RIGID else 0.0
+        added_s = max(0.0, delay_s - model.delay_s.value)
+    longer_s = max(0.0, delay_s - model.delay_s.value)
+    axis = axis._replace(delay_s=axis.delay_s + added_s)
     axis = axis._replace(notches=())
     axis = axis._replace(notches=notches_for(axis, wish))
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
@@ -134,8 +139,9 @@ def outside_range(axis: LinearAxis, model: ModelFile) -> list[str]:
 
 
 def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
-    """Whether the axis moved unlike a single rigid inertia, and the model is nothing else."""
-    return commissioned.unexplained_share > 0.0 and not model.effects
+    """Whether the axis moved unlike a single rigid inertia, and neither the sweep nor the model says what it is."""
+    swings = commissioned.response is not None and commissioned.response.elastic is not None
+    return commissioned.unexplained_share > 0.0 and not model.effects and not swings
 
 
 def worth_of_estimate(
@@ -276,7 +282,8 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
     step = step_response(axis, gains.proportional_a_per_rps, gains.integral_a_per_rev, STEP_S)
     return {
         "format": formats.TUNING.word,
-        "axis": axis._asdict(),
+        "axis": {key: value for key, value in axis._asdict().items() if key != "measured"},
+        "measured_hz": None if axis.measured is None else [axis.measured.frequencies_hz[k] for k in (0, -1)],
         "gains": gains._asdict(),
         "integral_time_s": integral_time_s,
         "margins_pi": found.margins_pi._asdict(),

@@ -1,0 +1,176 @@
+"""The sweep of commissioning: the elastic load of a drive whose truth is known, none on a rigid one, and its record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commissioning.misdeclared import HIGHEST_A, HIGHEST_REV, HIGHEST_RPS, LOWEST_REV, MisdeclaredDrive
+from commissioning.test_record import axis_file, record_for
+from commissioning.test_wrong_facts import BOUNDS, FACTS, PLAN, PLANT, SESSION
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trial_axes.random_axis import wide_axis
+
+from fffo_drive.commissioning.procedure import NotAgreedError, commission
+from fffo_drive.commissioning.record import content_hash, read_record, write_record
+from fffo_drive.config.measured_axis import with_response
+from fffo_drive.control.stability import (
+    RIGID,
+    ElasticLoad,
+    LinearAxis,
+    impedance_nm_per_rps,
+    loop_margins,
+    mechanics_nm_per_rps,
+)
+from fffo_drive.drive.port import DriveIdentity
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
+from fffo_drive.identification.sweep_response import SweepLines, fit_sweep
+
+IDENTITY = DriveIdentity(1, 2, 3, 4, "a servo drive", "1.0")
+GAIN = PLANT.torque_constant_nm_per_a / (2.0 * math.pi * PLANT.inertia_kg_m2)
+
+
+def elastic(share, frequency_hz, damping):
+    values = {"load_share": share, "frequency_hz": frequency_hz, "damping": damping}
+    return (EffectConfig("elasticity", values),)
+
+
+def swept(plant, bounds=BOUNDS):
+    """The check, the response and all checks; the true shaft never left the bounds."""
+    drive = MisdeclaredDrive(plant)
+    outcome = commission(drive, SESSION, PLAN.model, FACTS, bounds)
+    numbers = drive.port.numbers
+    assert numbers[HIGHEST_RPS] < bounds.speed_rps
+    assert -bounds.travel_rev < numbers[LOWEST_REV] <= numbers[HIGHEST_REV] < bounds.travel_rev
+    assert numbers[HIGHEST_A] <= bounds.current_a
+    return outcome.checks[-1], outcome.response, {check.name: check for check in outcome.checks}
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [(0.35, 110.0, 0.03), (0.6, 32.0, 0.02), (0.05, 150.0, 0.03), (0.5, 380.0, 0.1), (0.3, 22.0, 0.01)],
+)
+def test_the_elastic_load_of_a_drive_is_found(truth):
+    check, response, checks = swept(replace(PLANT, effects=elastic(*truth)))
+    found, (share, frequency_hz, damping) = response.elastic, truth
+    assert check.name == "resonance"
+    assert check.verdict == "warning"
+    assert found.frequency_hz == pytest.approx(frequency_hz, rel=0.04)
+    assert found.share == pytest.approx(share, abs=0.03)
+    # friction takes power from a slow and wide resonance as well: its damping comes out too large
+    assert found.damping == pytest.approx(damping, rel=0.25, abs=0.01 if frequency_hz > 50.0 else 0.06)
+    assert response.gain_rps2_per_a == pytest.approx(GAIN, rel=0.03 if frequency_hz > 50.0 else 0.08)
+    assert checks["torque_per_inertia"].measured == response.gain_rps2_per_a  # of motor and load
+    assert checks["torque_per_inertia"].verdict == checks["delay"].verdict == "ok"
+    assert response.delay_s == pytest.approx(PLANT.delay_s - 0.5 * PLANT.sync_period_s, abs=1.5e-4)
+    assert "tune" in check.remedy
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        PLANT,
+        replace(PLANT, effects=(EffectConfig("cogging", {"amplitude_nm": 0.01}), EffectConfig("resolver_error", {}))),
+        wide_axis(PlantConfig(), 5005).plant,  # cogging, friction by direction and angle
+        wide_axis(PlantConfig(), 5017).plant,  # LuGre, another shape of presliding
+        wide_axis(PlantConfig(), 5033).plant,  # an encoder; sticky patches
+    ],
+    ids=["default", "cogging and resolver", "5005", "5017", "5033"],
+)
+def test_a_rigid_axis_has_no_elastic_load(plant):
+    check, response, _ = swept(plant)
+    assert check.verdict == "ok", check.text
+    assert response.elastic is None
+
+
+def test_small_bounds_are_kept_and_what_they_do_not_allow_is_said():
+    bounds = BOUNDS._replace(travel_rev=0.3, speed_rps=3.0)
+    check, *_ = swept(replace(PLANT, effects=elastic(0.35, 110.0, 0.03)), bounds)
+    assert check.name == "resonance"
+    late = BOUNDS._replace(time_s=12.0)  # enough for all but the sweep
+    check, response, _ = swept(PLANT, late)
+    assert (check.verdict, response) == ("warning", None)
+    assert "moved for 12 s" in check.text
+    assert "tune" in check.remedy
+
+
+def test_the_sweep_is_asked_for_with_its_speed_and_how_far_it_goes():
+    asked = []
+
+    def may_move(motion):
+        asked.append(motion)
+        return "resonance" not in motion.checks
+
+    with pytest.raises(NotAgreedError):
+        commission(MisdeclaredDrive(PLANT), SESSION, PLAN.model, FACTS, BOUNDS, may_move=may_move)
+    assert asked[-1].checks == ("resonance",)
+    assert "10 to 400 Hz" in asked[-1].text
+    assert "5 rps and 2 rev" in asked[-1].text
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    share=st.floats(0.05, 0.6), frequency_hz=st.floats(22.0, 380.0), damping=st.floats(0.01, 0.1),
+    delay_s=st.floats(0.0015, 0.008), seed=st.integers(0, 2**16),
+)  # fmt: skip
+def test_the_fit_finds_what_the_response_was_made_of(share, frequency_hz, damping, delay_s, seed):
+    lines = made_lines(ElasticLoad(share, frequency_hz, damping), delay_s, seed)
+    fit = fit_sweep(lines)
+    assert fit.elastic.frequency_hz == pytest.approx(frequency_hz, rel=0.02)
+    assert fit.elastic.share == pytest.approx(share, abs=0.04)
+    assert fit.delay_s == pytest.approx(delay_s, abs=3e-4)
+
+
+def made_lines(load, delay_s, seed, noise=0.01):
+    frequency_hz = np.arange(10.5, 400.0)
+    s = 2j * np.pi * frequency_hz
+    response = 157.0 * np.exp(-s * delay_s) / (mechanics_nm_per_rps(1.0, load, s) + 3.0)
+    random = np.random.default_rng(seed)
+    error = noise * np.abs(response)
+    response = response + error * (random.normal(size=s.size) + 1j * random.normal(size=s.size)) / math.sqrt(2.0)
+    return SweepLines(frequency_hz, response, error)
+
+
+def test_noise_alone_is_no_resonance():
+    found = [fit_sweep(made_lines(RIGID, 0.003, seed, noise)) for seed in range(3) for noise in (0.01, 0.1)]
+    assert all(fit.elastic == RIGID for fit in found)
+
+
+def test_a_record_keeps_the_response_and_an_older_one_its_hash(tmp_path):
+    path = axis_file(tmp_path, named=False)
+    older = record_for(path, IDENTITY)
+    assert "response" not in older.model_dump(mode="json")
+    _, response, _ = swept(replace(PLANT, effects=elastic(0.35, 110.0, 0.03)))
+    record = write_record(tmp_path / "record.yaml", older.model_copy(update={"response": response}))
+    again = read_record(tmp_path / "record.yaml")
+    assert again == record
+    assert again.response == response
+    assert content_hash(again) != content_hash(older)
+    assert write_record(tmp_path / "older.yaml", older) == read_record(tmp_path / "older.yaml")
+
+
+def test_the_axis_of_the_margins_is_the_drive_itself_with_the_filter_of_its_velocity():
+    truth, sigma = ElasticLoad(0.35, 110.0, 0.03), 0.003
+    _, response, _ = swept(replace(PLANT, effects=elastic(*truth)))
+    kt, inertia = PLANT.torque_constant_nm_per_a, 2.0 * math.pi * PLANT.inertia_kg_m2
+    model = LinearAxis(inertia, sigma, PLANT.delay_s, kt)
+    measured = with_response(model, PLAN.model, response)
+    s = 2j * np.pi * np.geomspace(15.0, 250.0, 200)
+    resolver = PLANT.resolver
+    normal = s / (2.0 * np.pi * resolver.tracking_hz)
+    filtered = 1.0 / (1.0 + 2.0 * resolver.tracking_damping * normal + normal**2)
+    lag_s = resolver.tracking_damping / (np.pi * resolver.tracking_hz)
+    true = filtered * np.exp(-s * (PLANT.delay_s - lag_s)) / (mechanics_nm_per_rps(inertia, truth, s) + sigma)
+    ratio = np.exp(-s * measured.delay_s) / impedance_nm_per_rps(measured, s) / true
+    assert np.percentile(np.abs(20.0 * np.log10(np.abs(ratio))), 95) < 1.0  # dB
+    assert np.percentile(np.abs(np.degrees(np.angle(ratio))), 95) < 7.0
+    # a proportional gain that a rigid axis takes shakes this one
+    gains = (0.9, 10.0, 3.0)
+    assert loop_margins(model, *gains).gain > 1.8
+    assert loop_margins(measured, *gains).gain < 1.0
+    # without its elastic load the points alone carry the resonance
+    alone = with_response(model, PLAN.model, response.model_copy(update={"elastic": None}))
+    assert loop_margins(alone, *gains).gain < 1.1
