@@ -100,9 +100,8 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _named(plan: Plan, out: Path) -> bool:
-    """The axis file names this record already, or needs none."""
-    name = os.path.relpath(out, plan.path.parent)
-    return plan.axis.commissioning == name or not isinstance(plan.axis.drive, CanopenDriveSection)
+    """The axis file names this record already; a simulated axis needs it too, for the margins of its law."""
+    return plan.axis.commissioning == os.path.relpath(out, plan.path.parent)
 
 
 def _agreed(question: str) -> bool:

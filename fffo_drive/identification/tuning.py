@@ -199,8 +199,8 @@ def notches_for(axis: LinearAxis, wish: Wish) -> tuple[Notch, ...]:
     loops = open_loops(axis, TRIAL_STRIDE)
     before = _action(axis, loops, wish)
     while len(notches) < MOST_NOTCHES:
-        action, notch = _best_notch(axis, loops, wish, peaks_hz)
-        if action <= NOTCH_GAIN * before:
+        action, notch = _best_notch(axis, loops, wish, peaks_hz, NOTCH_GAIN * before)
+        if notch is None:
             break
         before, notches = action, (*notches, notch)
         loops = [loop.behind(notches) for loop in loops]
@@ -246,43 +246,44 @@ def _highest_notch_hz(axis: LinearAxis) -> float:
 
 
 def _best_notch(
-    axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish, peaks_hz: Sequence[float]
-) -> tuple[float, Notch]:
-    """The largest integral action with one more notch, and that notch."""
+    axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish, peaks_hz: Sequence[float], before: float
+) -> tuple[float, Notch | None]:
+    """The largest integral action with one more notch, and that notch; `before` and None where none allows more."""
     highest_hz = _highest_notch_hz(axis)
+    best, best_action = None, before
 
-    def tried(notch: Notch) -> tuple[float, Notch]:
-        behind = [loop.behind((*loop.axis.notches, notch)) for loop in loops]
-        return _action(axis, behind, wish), notch
-
-    def within(notch: Notch) -> bool:
+    def is_better(notch: Notch) -> bool:
+        nonlocal best, best_action
         wide = NOTCH_WIDTHS[0] <= notch.width <= NOTCH_WIDTHS[-1]
-        return wide and notch.frequency_hz <= highest_hz and NOTCH_DEPTHS[0] <= notch.depth <= NOTCH_DEPTHS[-1]
+        if not (wide and notch.frequency_hz <= highest_hz and NOTCH_DEPTHS[0] <= notch.depth <= NOTCH_DEPTHS[-1]):
+            return False
+        behind = [loop.behind((*loop.axis.notches, notch)) for loop in loops]
+        action = _action(axis, behind, wish, best_action)
+        if action <= best_action:
+            return False
+        best, best_action = notch, action
+        return True
 
     places_hz = [place * peak_hz for peak_hz in peaks_hz for place in NOTCH_PLACES]
-    grid = [Notch(*one) for one in itertools.product(places_hz, NOTCH_WIDTHS, NOTCH_DEPTHS)]
     # of those that allow the same, the narrowest and then the least deep
-    best = max(map(tried, filter(within, grid)), key=lambda one: (one[0], -one[1].width, one[1].depth))
-    improved = True
-    while improved:
+    for width, depth, place_hz in itertools.product(NOTCH_WIDTHS, reversed(NOTCH_DEPTHS), places_hz):
+        is_better(Notch(place_hz, width, depth))
+    improved = best is not None
+    while improved and best is not None:
         improved = False
         for field, step in zip(Notch._fields, NOTCH_STEPS, strict=True):
             for factor in (step, 1.0 / step):
-                other = best[1]._replace(**{field: factor * getattr(best[1], field)})
-                if within(other):
-                    found = tried(other)
-                    improved = improved or found[0] > best[0]
-                    best = max(best, found, key=lambda one: one[0])
-    return best
+                improved |= is_better(best._replace(**{field: factor * getattr(best, field)}))
+    return best_action, best
 
 
-def _action(axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish) -> float:
-    """The largest Ki Kt + L (Nm/rev) with the required margins, roughly: on few crossovers; 0 if none has them."""
-    most = 0.0
+def _action(axis: LinearAxis, loops: Sequence[OpenLoop], wish: Wish, least: float = 0.0) -> float:
+    """The largest Ki Kt + L (Nm/rev) with the required margins, roughly: on few crossovers; else `least`."""
+    most = least
     for crossover_hz in _crossovers_hz(axis, wish, TRIAL_BANDWIDTHS):
         proportional, integral = _gains_at(axis, crossover_hz, wish.damping_ratio)
         nm_per_rev = integral * axis.torque_constant_nm_per_a
-        beyond = max(0.0, most - nm_per_rev)  # what another crossover had already
+        beyond = max(0.0, most - nm_per_rev)  # what is had already
         if _holds(loops, proportional, integral, beyond, wish):
             most = max(most, nm_per_rev + observer_gain(loops, proportional, integral, wish, TRIAL_HALVINGS))
     return most

@@ -150,11 +150,11 @@ def worth_of_estimate(
     """What the estimated velocity would gain over a tuning, at the same margins.
 
     None where the file has the estimate already; where the loop cannot have it; where by its delay alone what friction
-    outside the model leaves would not be clearly less, as behind a fast sensor; and where the axis is known to be
-    unlike the model, whose inertia the estimate believes.
+    outside the model leaves would not be clearly less, as behind a fast sensor; and where a part of the inertia swings
+    or the axis is known to be unlike the model: the estimate believes in one rigid inertia.
     """
     controller = axis_file.controller
-    if controller.velocity.estimated or needs_diagnosis(model, commissioned):
+    if controller.velocity.estimated or found.axis.elastic != RIGID or needs_diagnosis(model, commissioned):
         return None
     velocity = controller.velocity.model_copy(update={"source": "estimated"})
     estimated = controller.model_copy(update={"velocity": velocity})
