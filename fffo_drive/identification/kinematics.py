@@ -108,6 +108,13 @@ def travel_since_reversal_rev(motion: Kinematics, before: Before = NOTHING_BEFOR
     return travel
 
 
+def stroke_lengths_rev(motion: Kinematics) -> Floats:
+    """Travel from one certain reversal to the next, of the stroke that each sample is in. (n,)"""
+    travel = travel_since_reversal_rev(motion)
+    last = np.append(np.flatnonzero(np.diff(travel) < 0.0), travel.size - 1)
+    return np.repeat(travel[last], np.diff(last, prepend=-1))
+
+
 def _held(values: Floats, starts: npt.NDArray[np.int64], count: int) -> Floats:
     """Each value from its start, the first of which is 0, to the next one. (count,)"""
     return np.repeat(values, np.diff(starts, append=count))

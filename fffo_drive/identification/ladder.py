@@ -5,7 +5,9 @@ on the rows of `rows`. Forward selection on each rung, then the next rung. An ac
 rows (`criterion`), is significant over all candidates tried, and removes more than `LEAST_SHARE` of the squared
 residual; at the end, each must still do so given all others (backward elimination).
 
-A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases.
+A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases. It counts
+in strokes in which the wave comes back: in a shorter one a contact that yields, or a load on a spring, looks like a
+wave of the stroke's own order.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from ..model.effects.registry import law_of
 from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
 from .dataset import Record
 from .facts import DriveFacts
-from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER
+from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER, stroke_lengths_rev
 from .layout import EffectStart
 from .regression import TorqueStart
 from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of, turns_one_way
@@ -39,7 +41,7 @@ SEEN_HZ = 1.5  # ... if it is below the cut-off there; the cut-off is so many ti
 HIGHEST_CUTOFF_HZ = 150.0
 HIGHEST_CUTOFF_PERIODS = 0.15
 GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
-WAVE_PERIODS = 2.0  # a wave has to come back
+WAVE_PERIODS = 2.0  # a wave has to come back, within a stroke
 SAME_COLUMNS = 1e-4  # of a column's squared norm that must remain after projecting out the known columns
 
 
@@ -92,6 +94,7 @@ class _Bench(NamedTuple):
     classes: npt.NDArray[np.int64]
     level_nm: Floats  # of friction at these speeds, by the start
     runs: int
+    stroke_rev: Floats  # (m,) travel from one reversal to the next, of the stroke that a row is in
 
 
 class _Weighted(NamedTuple):
@@ -158,7 +161,8 @@ def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float
     edges = np.quantile(speed[rows.sliding], np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[1:-1])
     level_nm = start.coulomb_nm + (start.static_nm - start.coulomb_nm) * fall
     folds = folds_of(rows.bounds, rows.period_s)
-    return _Bench(rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records)), cutoff_hz
+    strokes_rev = np.concatenate([stroke_lengths_rev(s.motion)[s.rows] for s in stretches])
+    return _Bench(rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records), strokes_rev), cutoff_hz
 
 
 def _slow_rps(rows: RegressionRows) -> float:
@@ -191,7 +195,7 @@ def _on_rung(
             for per_run in ((False,) if same_zero else (False, True))
         ]
         taken = {candidate.order for candidate in chosen}
-        found = [one for one in found if one.order not in taken and _passed(bench, one.order, WAVE_PERIODS)]
+        found = [one for one in found if one.order not in taken and _comes_back(bench, one.order).any()]
         return found, looked_at * (1 if same_zero else 2)
     taken_names = {(candidate.name, candidate.order) for candidate in chosen}
     if turns_one_way(bench.rows.direction[bench.rows.sliding]) and rung in (CONSTANT_TORQUE, DIRECTION_RUNG):
@@ -205,6 +209,11 @@ def _on_rung(
 def _passed(bench: _Bench, order: float, periods: float) -> bool:
     """Whether the motion covers at least this many periods."""
     return order == 0.0 or order * float(np.ptp(bench.rows.position_rev[bench.rows.sliding])) >= periods
+
+
+def _comes_back(bench: _Bench, order: float) -> npt.NDArray[np.bool_]:
+    """Rows that slide in a stroke of enough periods of a wave. (m,)"""
+    return np.asarray(bench.rows.sliding & (order * bench.stroke_rev >= WAVE_PERIODS))
 
 
 def _orders(bench: _Bench, chosen: Sequence[EffectCandidate], facts: DriveFacts | None) -> tuple[list[float], int]:
@@ -290,6 +299,8 @@ def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
     if candidate.name == "asymmetric_viscous":
         return np.abs(rows.velocity_rps)[:, None]
     wave = wave_columns(rows, candidate.order)
+    if candidate.rung == WAVES:
+        wave = wave * _comes_back(bench, candidate.order)[:, None]
     if not candidate.per_run:
         return wave
     return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])

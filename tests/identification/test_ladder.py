@@ -10,6 +10,7 @@ from identification.balance import BOTH_WAYS, COULOMB, INERTIA, TURN, balance_re
 from identification.rig import random_plant, record
 from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record, record_of
 
+from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
@@ -147,3 +148,25 @@ def test_a_constant_torque_does_not_bend_the_inertia():
     assert written.parameters["torque_nm"].sd == effect.sd["torque_nm"]
     bent = fit_records([seen], FitSettings(compare_literal=False, effects=()), FACTS)
     assert abs(bent.physical[0] - TRUTH[0]) > abs(fit.physical[0] - TRUTH[0])
+
+
+PLANT = PlantConfig()
+SHORT_STROKES = identification_sequence(60.0, 5e-4, 0.3, 0.7, 0.01, 10.0)  # the paper's, with little current
+SWINGING = EffectConfig("elasticity", {"load_share": 0.35, "frequency_hz": 110.0, "damping": 0.03})
+COGGING = EffectConfig("cogging", {"amplitude_nm": 0.006})
+
+
+@pytest.mark.parametrize("effects", [(), (SWINGING,)], ids=["rigid", "elastic"])
+def test_a_contact_that_yields_in_short_strokes_is_no_cogging(effects):
+    """Order 51 was found in both, with 7.5 mNm: a stroke of less than a period is a spring to either."""
+    assert "cogging" not in {
+        name for name, _ in names(climbed([record(replace(PLANT, effects=effects), SHORT_STROKES)]))
+    }
+
+
+@pytest.mark.parametrize("effects", [(COGGING,), (COGGING, SWINGING)], ids=["rigid", "elastic"])
+def test_cogging_of_a_drive_is_found_in_the_strokes_in_which_it_comes_back(effects):
+    ladder = climbed([record(replace(PLANT, effects=effects), SHORT_STROKES)])
+    assert ("cogging", 12.0) in names(ladder)
+    (one,) = [one for one in ladder.accepted if one.candidate.name == "cogging"]
+    assert float(np.hypot(*one.coefficients)) == pytest.approx(0.006, rel=0.15)
