@@ -16,7 +16,7 @@ from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import NotchSection, best_law
-from ..control.stability import RIGID, LinearAxis, loop_margins, stick_slip_rps, stuck_axes
+from ..control.stability import RIGID, LinearAxis, linear_axis, loop_margins, stick_slip_rps, stuck_axes
 from ..documents import DocumentError, parse, read_text, up_to_date
 from ..identification.estimate_gain import EstimateWorth, squared_error_of_a_step, step_of_command_a
 from ..identification.tuning import (
@@ -37,6 +37,7 @@ from ..units import inertia_kg_m2
 LOCUS_POINTS = 61
 STEP_S = 0.4
 ROUNDING = 1e-6  # of margins
+SAME_RESONANCE, SAME_SHARE = 0.1, 0.1  # of the frequency, and of the inertia: by which two measurements may differ
 WORTH_ERROR_RATIO = 0.8  # of squared errors: above it, noise decides, which is not known here
 NARROWER = (0.75, 0.5, 0.25, 0.0)  # of a range without gains, on a logarithmic scale: tried for a refusal
 
@@ -90,7 +91,9 @@ def tune(
     axis = axis._replace(notches=notches_for(axis, wish))
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
-    found = found._replace(warnings=(*found.warnings, *undetermined(model), *outside_range(axis, model)))
+    found = found._replace(
+        warnings=(*found.warnings, *undetermined(model), *outside_range(axis, model), *other_load(model, axis))
+    )
     if longer_s > 0.0:
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
@@ -124,6 +127,24 @@ def _by_notches(axis: LinearAxis, found: Design, wish: Wish) -> float:
         return math.inf
     kt = axis.torque_constant_nm_per_a
     return found.gains.integral_action_nm_per_rev(kt) / gains.integral_action_nm_per_rev(kt)
+
+
+def other_load(model: ModelFile, axis: LinearAxis) -> list[str]:
+    """A sentence where the elastic load of the model is not the one that the measured response has."""
+    known = linear_axis(model, axis.period_s).elastic
+    if known == RIGID or axis.measured is None:
+        return []
+    apart = abs(known.frequency_hz - axis.elastic.frequency_hz) > SAME_RESONANCE * known.frequency_hz
+    if not apart and abs(known.share - axis.elastic.share) <= SAME_SHARE:
+        return []
+    measured = "none"
+    if axis.elastic != RIGID:
+        measured = f"{100.0 * axis.elastic.share:.2g} % at {axis.elastic.frequency_hz:.3g} Hz"
+    return [
+        f"the elasticity of the model has {100.0 * known.share:.2g} % of the inertia at {known.frequency_hz:.3g} Hz, "
+        f"the response that commissioning measured {measured}: the response counts. Diagnose new recordings, or "
+        "commission again if load or coupling have changed"
+    ]
 
 
 def outside_range(axis: LinearAxis, model: ModelFile) -> list[str]:

@@ -8,14 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commissioning.misdeclared import HIGHEST_A, HIGHEST_REV, HIGHEST_RPS, LOWEST_REV, MisdeclaredDrive
-from commissioning.test_record import axis_file, record_for
+from commissioning.test_record import CONFIGS, axis_file, record_for
 from commissioning.test_wrong_facts import BOUNDS, FACTS, PLAN, PLANT, SESSION
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from trial_axes.random_axis import wide_axis
 
+from fffo_drive.cli import main
 from fffo_drive.commissioning.procedure import NotAgreedError, commission
 from fffo_drive.commissioning.record import content_hash, read_record, write_record
+from fffo_drive.config.axis import loop_axis, read_axis
+from fffo_drive.config.checks import law_problems
 from fffo_drive.config.measured_axis import with_response
 from fffo_drive.control.stability import (
     RIGID,
@@ -28,6 +31,8 @@ from fffo_drive.control.stability import (
 from fffo_drive.drive.port import DriveIdentity
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
 from fffo_drive.identification.sweep_response import SweepLines, fit_sweep
+from fffo_drive.model.parameters import effect_model
+from fffo_drive.workflows.tune import other_load
 
 IDENTITY = DriveIdentity(1, 2, 3, 4, "a servo drive", "1.0")
 GAIN = PLANT.torque_constant_nm_per_a / (2.0 * math.pi * PLANT.inertia_kg_m2)
@@ -174,3 +179,37 @@ def test_the_axis_of_the_margins_is_the_drive_itself_with_the_filter_of_its_velo
     # without its elastic load the points alone carry the resonance
     alone = with_response(model, PLAN.model, response.model_copy(update={"elastic": None}))
     assert loop_margins(alone, *gains).gain < 1.1
+
+
+def test_tune_holds_its_margins_on_the_record_that_the_axis_file_names_and_says_what_counts(tmp_path, capsys):
+    plan_path = tmp_path / "axis.yaml"
+    text = (CONFIGS / "axis_simulated.yaml").read_text()
+    text = text.replace("models/table1.yaml", str(CONFIGS / "models" / "table1.yaml"))
+    text = text.replace("simulated_drive.yaml", str(CONFIGS / "simulated_drive.yaml"))
+    plan_path.write_text(text + "\ncommissioning: record.yaml\n")
+    axis, model = read_axis(plan_path), PLAN.model
+    rigid = loop_axis(axis, model)
+    assert rigid.measured is None
+    _, response, _ = swept(replace(PLANT, effects=elastic(0.35, 110.0, 0.03)))
+    write_record(tmp_path / "record.yaml", record_for(plan_path, IDENTITY).model_copy(update={"response": response}))
+    found = loop_axis(axis, model)
+    assert found.elastic.frequency_hz == pytest.approx(110.0, rel=0.02)
+    assert found.inertia_nm_s2_per_rev == rigid.inertia_nm_s2_per_rev
+    problems = law_problems(axis, model, True)
+    assert any("gain margin" in text for text in problems)  # the file's gains are those of a rigid axis
+    words = ["tune", str(CONFIGS / "models" / "table1.yaml"), "--axis", str(plan_path), "--out", str(tmp_path / "t")]
+    assert main(words) == 0
+    said = capsys.readouterr()
+    assert "margins on the response that commissioning measured from 10 to 395 Hz" in said.out
+    assert "a notch at" in said.out
+    tuned = read_axis(tmp_path / "t" / "axis.yaml")
+    assert law_problems(tuned, model, True) == []
+    # a model of another elastic load, or of one that is gone, does not count in silence
+    other = effect_model("elasticity", {"share": 0.2, "frequency_hz": 60.0, "damping": 0.03}, {})
+    with_other = model.model_copy(update={"effects": [other]})
+    known = loop_axis(axis, with_other)
+    assert known.elastic == found.elastic
+    (sentence,) = other_load(with_other, known)
+    assert "20 % of the inertia at 60 Hz" in sentence
+    assert "110 Hz: the response counts" in sentence
+    assert other_load(model, found) == []
