@@ -29,7 +29,7 @@ from ..control.reference import (
 )
 from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
 from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
-from ..documents import StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
+from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -107,16 +107,17 @@ class AxisFile(StrictRecord):
         Field(description="record of `fffo-drive commission`, relative to this file; a drive on a bus needs one"),
     ] = None
 
-    _place: Path | None = PrivateAttr(default=None)  # the file that it was read from
+    # what commissioning measured, or why its record cannot be read, as it was when the file was
+    _response: ResponseRecord | DocumentError | None = PrivateAttr(default=None)
 
     def response(self) -> ResponseRecord | None:
         """What commissioning measured; None where the file names no record, or a record without it.
 
         An axis file of `bring-up` names its record before there is one. Raises DocumentError for one that was edited.
         """
-        if self._place is None or self.commissioning is None:
-            return None
-        return response_in(beside(self._place, self.commissioning))
+        if isinstance(self._response, DocumentError):
+            raise self._response
+        return self._response
 
     @model_validator(mode="after")
     def _consistent(self) -> AxisFile:
@@ -152,7 +153,11 @@ def read_axis(path: str | Path) -> AxisFile:
     sections = {"profile": axis.profile, **{f"daemon.profiles.{name}": s for name, s in axis.daemon.profiles.items()}}
     found = [(key, text) for key, section in sections.items() for text in length_problems(section, axis.loop)]
     refuse(path, [(key, text.removeprefix("profile: ")) for key, text in found])
-    axis._place = path
+    if axis.commissioning is not None:
+        try:
+            axis._response = response_in(beside(path, axis.commissioning))
+        except DocumentError as error:  # to commission it again, the file must be readable
+            axis._response = error
     return axis
 
 

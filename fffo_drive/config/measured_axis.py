@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from pathlib import Path
 
@@ -24,12 +23,7 @@ LEAST_COHERENCE = 0.8  # below, a point is noise
 
 def response_in(file: Path) -> ResponseRecord | None:
     """The response in a record; None where there is no record, or it has none. Raises DocumentError."""
-    return _response_in(file, file.stat().st_mtime_ns) if file.exists() else None
-
-
-@functools.lru_cache(maxsize=8)  # each check of an axis asks again
-def _response_in(file: Path, _modified_ns: int) -> ResponseRecord | None:
-    return read_record(file).response
+    return read_record(file).response if file.exists() else None
 
 
 def with_response(axis: LinearAxis, model: ModelFile, response: ResponseRecord) -> LinearAxis:

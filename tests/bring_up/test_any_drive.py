@@ -21,7 +21,7 @@ from fffo_drive.workflows.drive_facts import Answers
 
 VENDORS = [0, 0x11, 0xFB, 0x9A, 0x26C, 0x1A3, 0x469, 0x586]
 ABORTS = [0x06020000, 0x06090011, 0x08000020, 0x06010001]
-POSITIVE = st.floats(1e-4, 1e4)
+POSITIVE, INERTIAS = st.floats(1e-4, 1e4), st.floats(1e-7, 1.0)
 
 
 class Silent:
@@ -55,7 +55,8 @@ def dictionaries(draw):
     dictionaries(), st.sampled_from(VENDORS),
     st.builds(
         Answers, st.none() | POSITIVE, st.none() | st.integers(2, 1 << 31), st.none() | POSITIVE, st.none() | POSITIVE,
-        st.none() | POSITIVE, st.none() | POSITIVE, st.none() | POSITIVE, st.none() | st.floats(1e-7, 1.0),
+        st.none() | POSITIVE, st.none() | POSITIVE, st.none() | POSITIVE, st.none() | INERTIAS,
+        st.none() | st.tuples(INERTIAS, INERTIAS).map(lambda ends: (min(ends), max(ends))),
     ),
 )  # fmt: skip
 def test_any_drive_ends_in_a_verdict_and_a_whole_file_or_none(tmp_path_factory, objects, vendor, answers):
