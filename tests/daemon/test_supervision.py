@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import importlib
 import io
 import threading
 from pathlib import Path
@@ -72,8 +73,7 @@ class QuietWatcher:
 
 QUIET = SimpleNamespace(
     beat=lambda: None,
-    drive=SimpleNamespace(warnings=lambda: []),
-    session=SimpleNamespace(status=lambda word: 0),
+    session=SimpleNamespace(status=lambda word: 0, warnings=lambda: []),
 )
 
 
@@ -393,6 +393,7 @@ def test_a_drive_that_is_let_go_does_not_wait_for_the_disk(tmp_path, monkeypatch
 
 def test_a_reload_reads_on_a_thread_of_its_own_and_changes_nothing_where_it_cannot_read(tmp_path, monkeypatch):
     """On the supervisor's thread a disk that hangs would be a silent supervisor."""
+    importlib.import_module("fffo_drive.jit.compiler")  # reads all kernels when it is first needed, by whichever thread
     readers: set[tuple[str, str]] = set()
     broken = threading.Event()
 

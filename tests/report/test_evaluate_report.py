@@ -150,4 +150,4 @@ def test_a_published_law_that_is_best_is_not_for_an_axis_file():
     runs = [run(name, range(SAMPLES), rps, k) for name, own in errors.items() for k, rps in enumerate(own, 1)]
     verdict = report_of(*runs, published=frozenset({"dob+"})).verdict
     assert (verdict.finding, verdict.next_step) == ("dob+ is best", "compare")
-    assert verdict.lines[-1].text.endswith("The best that an axis file can have is pi.")
+    assert verdict.lines[-1].text.endswith("The best of the scenario's own controllers is pi.")
