@@ -192,6 +192,7 @@ def test_tune_holds_its_margins_on_the_record_that_the_axis_file_names_and_says_
     assert rigid.measured is None
     _, response, _ = swept(replace(PLANT, effects=elastic(0.35, 110.0, 0.03)))
     write_record(tmp_path / "record.yaml", record_for(plan_path, IDENTITY).model_copy(update={"response": response}))
+    axis = read_axis(plan_path)
     found = loop_axis(axis, model)
     assert found.elastic.frequency_hz == pytest.approx(110.0, rel=0.02)
     assert found.inertia_nm_s2_per_rev == rigid.inertia_nm_s2_per_rev
