@@ -125,7 +125,7 @@ class World:
 
     def stop(self, number: int) -> int:
         """One of the ways to stop. Returns from when on nothing may move: its acknowledgement, or with `wait_s: 0`,
-        which does not wait for the braking ramp, when the service no longer brakes.
+        which does not wait for standstill, SETTLES_S after the end of the braking ramp.
         """
         time.sleep(self.draw.uniform(0.0, LONGEST_DELAY_S))
         method = ("stop", "stop", "disable", "quick_stop")[number % 4]
@@ -134,6 +134,7 @@ class World:
         if at_once:
             while self.client.call("status")["state"] == "stopping":
                 time.sleep(0.002)
+            time.sleep(SETTLES_S)
         acknowledged_ns = time.time_ns()
         if method != "stop":
             self.client.call("enable")
@@ -282,7 +283,7 @@ def motion_after_stop(count: int, side_by_side: int) -> Section:
         f"Each stop by `stop`, `stop` with `wait_s: 0`, `disable` and `quick_stop` in turn, the last two with an "
         f"`enable` behind them, a random 0 to {1e3 * LONGEST_DELAY_S:g} ms after the axis turns. Moved: the position "
         f"that the drive sends on the bus changes by more than {STANDSTILL_RPS * WATCHED_S:g} rev within {WATCHED_S:g} "
-        "s of the acknowledgement; with `wait_s: 0`, which does not wait, from when the service no longer brakes. "
+        f"s of the acknowledgement; with `wait_s: 0`, not waiting, from {SETTLES_S:g} s after the braking ramp. "
         "Every second client of a stream opens a connection for each set point.",
         f"Beyond the lease: from the freezing or the end of the client to the last motion of the shaft, less the lease "
         f"({world.lease_s:g} s; {world.silence_s:g} s of silence for `--hold`) and the longest braking ramp. A "
