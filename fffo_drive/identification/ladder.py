@@ -5,9 +5,9 @@ on the rows of `rows`. Forward selection on each rung, then the next rung. An ac
 rows (`criterion`), is significant over all candidates tried, and removes more than `LEAST_SHARE` of the squared
 residual; at the end, each must still do so given all others (backward elimination).
 
-A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases. It counts
-in strokes in which the wave comes back: in a shorter one a contact that yields, or a load on a spring, looks like a
-wave of the stroke's own order.
+A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases. It is
+judged by strokes in which the wave comes back: in a shorter one a contact that yields looks like a wave of the stroke's
+own order.
 """
 
 from __future__ import annotations
@@ -299,11 +299,19 @@ def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
     if candidate.name == "asymmetric_viscous":
         return np.abs(rows.velocity_rps)[:, None]
     wave = wave_columns(rows, candidate.order)
-    if candidate.rung == WAVES:
-        wave = wave * _comes_back(bench, candidate.order)[:, None]
     if not candidate.per_run:
         return wave
     return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])
+
+
+def _evidence(bench: _Bench, candidate: EffectCandidate) -> Floats:
+    """The columns by which it is judged: those of a wave only where it comes back, though it acts everywhere."""
+    return _columns(bench, candidate) * _counts(bench, candidate)[:, None]
+
+
+def _counts(bench: _Bench, candidate: EffectCandidate) -> npt.NDArray[np.bool_]:
+    """Rows that tell of a candidate. (m,)"""
+    return _comes_back(bench, candidate.order) if candidate.rung == WAVES else bench.rows.sliding
 
 
 def _weighted(bench: _Bench, chosen: Sequence[EffectCandidate]) -> _Weighted:
@@ -353,7 +361,7 @@ def _best(
     without = unseen_loss(white.residual, white.known, bench.folds)
     passed = []
     for candidate in candidates:
-        columns = _columns(bench, candidate)
+        columns = _evidence(bench, candidate)
         if _explained(white, columns) <= LEAST_SHARE or _chance(bench, white, columns, tried) > LARGEST_P:
             continue
         with_it = unseen_loss(
@@ -377,12 +385,11 @@ def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, trie
     """The evidence for one of them, given all others."""
     others = [one for j, one in enumerate(chosen) if j != k]
     white = _weighted(bench, others)
-    columns = _columns(bench, chosen[k])
-    own = columns * white.weight[:, None]
-    whole = np.column_stack([white.known, own])
+    columns = _evidence(bench, chosen[k])
+    judged = np.column_stack([white.known, columns * white.weight[:, None]])
     without = unseen_loss(white.residual, white.known, bench.folds)
-    found = gain(without, unseen_loss(white.residual, whole, bench.folds), bench.folds, bench.rows.sliding)
-    values = least_squares(whole, white.target).values
+    found = gain(without, unseen_loss(white.residual, judged, bench.folds), bench.folds, bench.rows.sliding)
+    values = least_squares(judged, white.target, _counts(bench, chosen[k]).astype(np.float64)).values
     return AcceptedEffect(
         chosen[k], values[white.known.shape[1] :], found.value, found.sd,
         _chance(bench, white, columns, tried), _explained(white, columns),
