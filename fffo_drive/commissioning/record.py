@@ -150,7 +150,7 @@ class ResponseRecord(StrictRecord):
     hold_s: Annotated[float, Field(description="half a period: a command is held that long on average")]
     damping_per_s: Annotated[float, Field(description="friction of the swing over the inertia")]
     contact_per_s2: Annotated[float, Field(description="stiffness of the contact, while it reverses, over the inertia")]
-    evidence: Annotated[float, Field(description="F of an elastic load against none; above 25 it is there")]
+    evidence: Annotated[float, Field(description="F of an elastic load against none")]
     elastic: Annotated[ElasticRecord | None, Field(description="null: none was found in this band")] = None
 
 

@@ -129,9 +129,11 @@ class Sweeps:
         self._slides = False
         swing = self.swing
         self.swing = swing._replace(
-            speed_rps=EASED * swing.speed_rps, kick_a=EASED * swing.kick_a, sweep_rps=EASED * swing.sweep_rps,
+            speed_rps=EASED * swing.speed_rps,
+            kick_a=EASED * swing.kick_a,
+            sweep_rps=EASED * swing.sweep_rps,
             most_sweep_a=EASED * swing.most_sweep_a,
-        )  # fmt: skip
+        )
 
     def _profile(self, sweeps: int) -> Profile:
         """So many sweeps, every other one negative; it begins and ends at rest, with half a kick."""
@@ -211,10 +213,13 @@ def response_record(sweeps: Sweeps) -> ResponseRecord:
     found = None
     if elastic != RIGID:
         found = ElasticRecord(
-            share=_digits(elastic.share), share_sd=_digits(sd.share), frequency_hz=_digits(elastic.frequency_hz),
-            frequency_sd_hz=_digits(sd.frequency_hz), damping=_digits(elastic.damping_ratio),
+            share=_digits(elastic.share),
+            share_sd=_digits(sd.share),
+            frequency_hz=_digits(elastic.frequency_hz),
+            frequency_sd_hz=_digits(sd.frequency_hz),
+            damping=_digits(elastic.damping_ratio),
             damping_sd=_digits(sd.damping_ratio),
-        )  # fmt: skip
+        )
     hold_s = 0.5 * sweeps.period_s
     position_rev = np.concatenate([motion.position_rev for motion in sweeps.measured])
     return ResponseRecord(

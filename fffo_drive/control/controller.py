@@ -100,8 +100,8 @@ def controller_at_rest() -> ControllerState:
 
 
 @njit
-def _with_integral(state: ControllerState, integral_a: float) -> ControllerState:
-    """The same memory with another integral."""
+def _with_memory(state: ControllerState, integral_a: float, notches: NotchState) -> ControllerState:
+    """The same with another integral and other memory of the notches."""
     return ControllerState(
         integral_a,
         state.filtered_error_rps,
@@ -110,7 +110,7 @@ def _with_integral(state: ControllerState, integral_a: float) -> ControllerState
         state.limited,
         state.rest,
         state.hold,
-        state.notches,
+        notches,
     )
 
 
@@ -265,16 +265,7 @@ def with_new_gains(before: ControllerConfig, after: ControllerConfig, state: Con
     if after.notches != before.notches:
         notches = notches_settled(after.notches, state.filtered_error_rps)
     integral_a = state.integral_a + change_a + cut_off_nm / after.torque_constant_nm_per_a
-    return ControllerState(
-        integral_a,
-        state.filtered_error_rps,
-        state.friction,
-        state.toggle,
-        state.limited,
-        state.rest,
-        state.hold,
-        notches,
-    )
+    return _with_memory(state, integral_a, notches)
 
 
 @njit
@@ -286,7 +277,7 @@ def adapts_another_model(before: ControllerConfig, after: ControllerConfig) -> b
 @njit
 def with_torque_lost(config: ControllerConfig, state: ControllerState, torque_nm: float) -> ControllerState:
     """Bumpless end of a feed-forward torque: the integrator takes it over."""
-    return _with_integral(state, state.integral_a + torque_nm / config.torque_constant_nm_per_a)
+    return _with_memory(state, state.integral_a + torque_nm / config.torque_constant_nm_per_a, state.notches)
 
 
 CONTROLLER_NAMES = flat_names(ControllerConfig)

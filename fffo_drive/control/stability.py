@@ -213,9 +213,12 @@ class OpenLoop:
         return OpenLoop(self.axis._replace(notches=notches), self._stride, self._plant)
 
     def margins(
-        self, proportional_a_per_rps: float, integral_a_per_rev: float, observer_gain_nm_per_rev: float,
+        self,
+        proportional_a_per_rps: float,
+        integral_a_per_rev: float,
+        observer_gain_nm_per_rev: float,
         hold_a_per_rev_s: float = 0.0,
-    ) -> Margins:  # fmt: skip
+    ) -> Margins:
         """Phase and gain margin of PI plus observer; `hold_a_per_rev_s` as in `loop_margins`."""
         axis, omega, kt = self.axis, self._omega, self.axis.torque_constant_nm_per_a
         proportional, integral = proportional_a_per_rps * kt, integral_a_per_rev * kt + observer_gain_nm_per_rev

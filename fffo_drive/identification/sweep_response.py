@@ -129,9 +129,15 @@ def fit_sweep(lines: SweepLines) -> SweepFit:
     log_gain, delay_s, log_filter_hz, filter_damping, damping, contact = (float(v) for v in found.x[:BASE])
     lag_s = filter_damping / (math.pi * math.exp(log_filter_hz))
     return SweepFit(
-        math.exp(log_gain), delay_s + lag_s, damping, contact, load,
-        _elastic_sd(found, load, freedom) if there else RIGID, float(evidence), found.x,
-    )  # fmt: skip
+        math.exp(log_gain),
+        delay_s + lag_s,
+        damping,
+        contact,
+        load,
+        _elastic_sd(found, load, freedom) if there else RIGID,
+        float(evidence),
+        found.x,
+    )
 
 
 def _of_the_motor(x: Floats, share: float) -> Floats:
@@ -180,9 +186,16 @@ def _fit(lines: SweepLines, start: Floats) -> Any:
 
     inside = np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9)
     return scipy.optimize.least_squares(
-        errors, inside, bounds=(low, high), x_scale=scale, loss="soft_l1", f_scale=OUTLIER_SDS,
-        ftol=ENOUGH, xtol=ENOUGH, max_nfev=MOST_STEPS,
-    )  # fmt: skip
+        errors,
+        inside,
+        bounds=(low, high),
+        x_scale=scale,
+        loss="soft_l1",
+        f_scale=OUTLIER_SDS,
+        ftol=ENOUGH,
+        xtol=ENOUGH,
+        max_nfev=MOST_STEPS,
+    )
 
 
 def _elastic_sd(found: Any, load: ElasticLoad, freedom: int) -> ElasticLoad:

@@ -64,13 +64,20 @@ def test_the_table_tells_what_shakes_without_a_word_from_what_was_warned_of_and_
         outcome(chain, 1),
         outcome(chain, 2, warned=("expect stick-slip",), verdict="limit cycle in motion"),
         outcome(chain, 3, elastic="0.35 behind 110 Hz, damping 0.030", verdict="at the current limit"),
-        outcome(chain, 4, elastic="0.20 behind 80 Hz, damping 0.030", refused="tune: 12.3 deg", verdict="",
-                creep_counts=nan, swing_counts=nan),
+        outcome(
+            chain,
+            4,
+            elastic="0.20 behind 80 Hz, damping 0.030",
+            refused="tune: 12.3 deg",
+            verdict="",
+            creep_counts=nan,
+            swing_counts=nan,
+        ),
         outcome(chain, 5, refused="tune: 7 deg", verdict="", creep_counts=nan, swing_counts=nan),
         outcome(chain, 6, ran="run: oscillation"),  # the envelope ends the tuned file's own run
         outcome(chain, 7, creep_counts=9.0),
         outcome(chain, 8, passive=False, verdict="hunting at standstill"),  # no controller can bring it to rest
-    ]  # fmt: skip
+    ]
     lines = "\n".join(chain.table(found))
     assert "| all: 7 | 2 | 1 | 1 | 0 | 1 | 2 | 0 | 1; **2** | 1 of 5 | 0.4, 7.3 |" in lines
     assert "| rigid: 5 | 2 | 1 | 0 | 0 | 1 | 1 | 0 | 1; **1** | 1 of 4 |" in lines

@@ -60,10 +60,17 @@ def test_a_limit_of_the_current_needs_the_rated_current():
 @pytest.fixture
 def config() -> CanopenDriveConfig:
     return CanopenDriveConfig(
-        bus=f"loopback:{free_loopback_port()}", node_id=NODE, listen_s=0.02, period_ns=50_000_000,
-        command_timeout_ms=100, counts_per_rev=32768, velocity_units_per_rps=1000.0, torque_constant_nm_per_a=KT,
-        rated_torque_nm=RATED_NM, answer_timeout_s=2.0,
-    )  # fmt: skip
+        bus=f"loopback:{free_loopback_port()}",
+        node_id=NODE,
+        listen_s=0.02,
+        period_ns=50_000_000,
+        command_timeout_ms=100,
+        counts_per_rev=32768,
+        velocity_units_per_rps=1000.0,
+        torque_constant_nm_per_a=KT,
+        rated_torque_nm=RATED_NM,
+        answer_timeout_s=2.0,
+    )
 
 
 def test_a_drive_tells_its_limit_when_it_is_connected(config):

@@ -118,9 +118,12 @@ def test_the_sweep_is_asked_for_with_its_speed_and_how_far_it_goes():
 
 @settings(max_examples=8, deadline=None)
 @given(
-    share=st.floats(0.05, 0.6), frequency_hz=st.floats(22.0, 380.0), damping=st.floats(0.01, 0.1),
-    delay_s=st.floats(0.0015, 0.008), seed=st.integers(0, 2**16),
-)  # fmt: skip
+    share=st.floats(0.05, 0.6),
+    frequency_hz=st.floats(22.0, 380.0),
+    damping=st.floats(0.01, 0.1),
+    delay_s=st.floats(0.0015, 0.008),
+    seed=st.integers(0, 2**16),
+)
 def test_the_fit_finds_what_the_response_was_made_of(share, frequency_hz, damping, delay_s, seed):
     lines = made_lines(ElasticLoad(share, frequency_hz, damping), delay_s, seed)
     fit = fit_sweep(lines)

@@ -172,9 +172,13 @@ def test_the_margins_over_a_range_are_those_of_its_ends():
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.floats(0.1, 1.0), st.floats(1.0, 10.0), st.floats(0.02, 0.6), st.floats(3.0, 30.0), st.floats(0.0, 5.0),
+    st.floats(0.1, 1.0),
+    st.floats(1.0, 10.0),
+    st.floats(0.02, 0.6),
+    st.floats(3.0, 30.0),
+    st.floats(0.0, 5.0),
     st.sampled_from((0.0, 5.0, 60.0)),
-)  # fmt: skip
+)
 def test_no_rigid_load_inside_a_range_has_smaller_margins_than_the_worst_of_its_ends(
     low, high, proportional, per_s, observer, contact
 ):

@@ -250,9 +250,12 @@ def test_laws_have_the_margins_that_are_asked_for_and_else_those_of_pi_fffo_plus
     plus = plus_of(case_of(short, 1)).controller
     numbers = known_numbers(plus)
     axis = LinearAxis(
-        numbers.inertia_nm_s2_per_rev, 0.003, numbers.delay_s, numbers.torque_constant_nm_per_a,
+        numbers.inertia_nm_s2_per_rev,
+        0.003,
+        numbers.delay_s,
+        numbers.torque_constant_nm_per_a,
         error_filter_s=error_filter_s(plus),
-    )  # fmt: skip
+    )
     own = loop_margins(axis, *plus.pi, plus.observer.gain_nm_per_rev)
     assert design.wish.phase_margin_deg == pytest.approx(own.phase_deg)
     assert design.wish.gain_margin == pytest.approx(own.gain)

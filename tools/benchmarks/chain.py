@@ -72,8 +72,13 @@ BATCH_AXES = 10  # between two writes of the rows
 # beginnings of warnings that are no word about shaking, hunting or tripping: of the design, and of what `commission`
 # finds other than in the assumed model
 NO_WORD = (
-    "L is ", "friction damping may vary", "designed for the delay", "torque_per_inertia: ", "delay: ", "velocity_age: ",
-)  # fmt: skip
+    "L is ",
+    "friction damping may vary",
+    "designed for the delay",
+    "torque_per_inertia: ",
+    "delay: ",
+    "velocity_age: ",
+)
 A_DATE = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d[\d:.+Z]*")
 
 

@@ -526,9 +526,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"of the paper's scenario (default {SEEDS})")
     parser.add_argument("--axes", type=int, default=AXES, help=f"random axes on each plant (default {AXES})")
     parser.add_argument(
-        "--typed-axes", type=int, default=TYPED_AXES,
+        "--typed-axes",
+        type=int,
+        default=TYPED_AXES,
         help=f"of them on which all commands are run, from commission on (default {TYPED_AXES})",
-    )  # fmt: skip
+    )
     parser.add_argument("--sample", action="store_true", help="a short run: logic and rough figures, no result file")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout in place of the tables")
     options = parser.parse_args(arguments)

@@ -17,17 +17,21 @@ from .service import Service
 
 MAX_TORQUE, MAX_CURRENT, POSITIVE, NEGATIVE = 0x6072, 0x6073, 0x60E0, 0x60E1
 LIMITS = {
-    MAX_TORQUE: "max torque", MAX_CURRENT: "max current", POSITIVE: "positive torque limit",
+    MAX_TORQUE: "max torque",
+    MAX_CURRENT: "max current",
+    POSITIVE: "positive torque limit",
     NEGATIVE: "negative torque limit",
-}  # fmt: skip
+}
 RATED_CURRENT = 0x6075
 LARGEST = 0x7FFF  # more is none, or a number with a sign
 
 
 def least_limit(
-    value: Callable[[int], int | None], torque_constant_nm_per_a: float, rated_torque_nm: float,
+    value: Callable[[int], int | None],
+    torque_constant_nm_per_a: float,
+    rated_torque_nm: float,
     rated_current_a: float | None,
-) -> CurrentLimit:  # fmt: skip
+) -> CurrentLimit:
     """Of the values of these objects; None is one that the drive does not have. 0 tells nothing about a limit."""
     found = NO_LIMIT
     for index, name in LIMITS.items():
@@ -54,6 +58,8 @@ def read_current_limit(service: Service, config: CanopenDriveConfig) -> CurrentL
     if rated_a is None and (reported := service.read_optional_int(RATED_CURRENT, 0)):
         rated_a = reported * config.rated_current_unit_a
     return least_limit(
-        lambda index: service.read_optional_int(index, 0), config.torque_constant_nm_per_a, config.rated_torque_nm,
+        lambda index: service.read_optional_int(index, 0),
+        config.torque_constant_nm_per_a,
+        config.rated_torque_nm,
         rated_a,
-    )  # fmt: skip
+    )
