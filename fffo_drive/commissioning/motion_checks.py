@@ -289,9 +289,8 @@ def resonance(found: ResponseRecord | str) -> CheckRecord:
         return judged("resonance", WARNING, f"the response was not measured: {found}", remedy)
     band = f"{found.frequency_hz[0]:.0f} to {found.frequency_hz[-1]:.0f} Hz"
     numbers = {"delay_s": found.delay_s, "gain_rps2_per_a": found.gain_rps2_per_a, "evidence": found.evidence}
-    moved = (
-        f"the axis went to and fro with at most {found.swing.largest_rps:.2g} rps over {found.swing.travel_rev:.2g} rev"
-    )
+    swing = found.swing
+    moved = f"the axis moved back and forth at up to {swing.largest_rps:.2g} rps over {swing.travel_rev:.2g} rev"
     load = found.elastic
     if load is None:
         return judged("resonance", OK, f"none from {band}; {moved}", numbers=numbers)

@@ -483,13 +483,13 @@ class _Procedure:
     # -- the sweep -------------------------------------------------------------------------------------------------
 
     def sweep(self, envelope: EnvelopeConfig, probe: _Probe) -> None:
-        """Swing the axis to and fro with a small sweep on top, and fit what it answers."""
+        """Move the axis back and forth with a small sweep on top, and fit what it answers."""
         bounds = self.bounds
         assert self.gain is not None  # measured before any limit was provoked
         sweeps = Sweeps(bounds, probe.breakaway_a, self.gain, self.rig.period_s)
         low_hz, high_hz = sweeps.band_hz
         self.ask(
-            f"a sweep from {low_hz:g} to {high_hz:g} Hz while the axis slides to and fro with about "
+            f"a sweep from {low_hz:g} to {high_hz:g} Hz while the axis moves back and forth at about "
             f"{sweeps.swing.speed_rps:.2g} rps, for some seconds; at most {bounds.current_a:.3g} A, "
             f"{bounds.speed_rps:.3g} rps and {bounds.travel_rev:.3g} rev from where it began",
             "resonance",
@@ -515,7 +515,7 @@ class _Procedure:
                 while not sweeps.done and (run is None or run.fault_text is None):
                     profile = sweeps.next()
                     if profile is None:
-                        return "no current within the bounds makes the axis slide to and fro at a steady speed"
+                        return "no current within the bounds makes the axis move back and forth at a steady speed"
                     run = runner.run(profile)
                     self._note_rest(run.motion)
                     if run.fault_text is None:

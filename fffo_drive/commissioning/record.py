@@ -112,7 +112,7 @@ class CheckRecord(StrictRecord):
 class SwingRecord(StrictRecord):
     """How the axis was moved for its response, and how far it went."""
 
-    speed_rps: Annotated[float, Field(description="with which it slid to and fro")]
+    speed_rps: Annotated[float, Field(description="while it moved back and forth")]
     swing_hz: Annotated[float, Field(description="how often")]
     sweep_rps: Annotated[float, Field(description="amplitude of the sweep where inertia alone is moved ...")]
     most_sweep_a: Annotated[float, Field(description="... with no more current than this")]

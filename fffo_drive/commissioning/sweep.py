@@ -1,4 +1,4 @@
-"""The sweep of commissioning: an axis that slides to and fro, and a small sweep of current on top of it.
+"""The sweep of commissioning: an axis that moves back and forth, and a small sweep of current on top of it.
 
 At rest the contact carries the axis like a spring of its own, and each reversal dampens it: a small sweep would measure
 that. So the axis slides at a slow speed: a kick turns it round, a bias holds its speed against friction until the next
@@ -49,7 +49,7 @@ TOO_FAR = (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)  # a swing that was too large
 
 
 class Swing(NamedTuple):
-    """Currents that make the axis slide to and fro, and the sweep on top."""
+    """Currents that make the axis move back and forth, and the sweep on top."""
 
     speed_rps: float
     kick_a: float  # beyond the bias

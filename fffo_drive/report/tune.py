@@ -135,9 +135,9 @@ def estimate_text(worth: EstimateWorth) -> str:
     more, left = significant(worth.integral_ratio, 2), significant(100.0 * worth.error_ratio, 2)
     return (
         f"with `controller.velocity: {{source: estimated}}` the same margins allow {more} times the integral action "
-        f"Ki Kt + L, which leaves {left} % of the squared error that friction outside the model makes. The counts of "
-        f"the position then make steps of {significant(worth.step_a, 2)} A rms in the command, noise of the sensor "
-        "more. To use the estimate, set this key in the axis file and tune again"
+        f"Ki Kt + L, which leaves {left} % of the squared error that friction outside the model makes. The resolution "
+        f"of the position alone then makes steps of {significant(worth.step_a, 2)} A rms in the command, and sensor "
+        "noise adds to them. To use the estimate, set this key in the axis file and tune again"
     )
 
 
@@ -156,9 +156,9 @@ def loads_text(axis: LinearAxis, model: ModelFile) -> str:
 def response_text(axis: LinearAxis) -> str:
     """What the margins stand on, for the page and the terminal."""
     if axis.measured is None:
-        return "margins by the model alone: no response was measured (`fffo-drive commission` does; then give --axis)"
+        return "margins from the model alone: no response was measured (run `fffo-drive commission`, then give --axis)"
     low_hz, high_hz = (axis.measured.frequencies_hz[k] for k in (0, -1))
-    return f"margins on the response that commissioning measured from {low_hz:.0f} to {high_hz:.0f} Hz"
+    return f"margins from the response that commissioning measured, {low_hz:.0f} to {high_hz:.0f} Hz"
 
 
 def _first_command(source: TuneSource) -> str:

@@ -204,7 +204,7 @@ def test_tune_holds_its_margins_on_the_record_that_the_axis_file_names_and_says_
     words = ["tune", str(CONFIGS / "models" / "table1.yaml"), "--axis", str(plan_path), "--out", str(tmp_path / "t")]
     assert main(words) == 0
     said = capsys.readouterr()
-    assert "margins on the response that commissioning measured from 10 to 395 Hz" in said.out
+    assert "margins from the response that commissioning measured, 10 to 395 Hz" in said.out
     assert "a notch at" in said.out
     tuned = read_axis(tmp_path / "t" / "axis.yaml")
     assert law_problems(tuned, model, True) == []
