@@ -48,6 +48,7 @@ def test_every_command_of_a_service_s_run_is_reproduced(tmp_path):
         client = rig.client()
         rig.until("ready", client)
         client.call("reload")
+        seen(rig, client)  # else the first record may hold what was in force before
         client.call("record", to="on")
         client.call("enable")
         client.act("start", profile=SINE)
