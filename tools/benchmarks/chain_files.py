@@ -77,8 +77,7 @@ class Chain:
 
     def new_axis(self, plant: PlantConfig, torque_constant_nm_per_a: float) -> None:
         """A first axis file, with the torque constant of the data sheet; inertia and delay are assumed."""
-        drive, _ = parse(read_text(CONFIGS / DRIVE), DRIVE)
-        _write(self.place / DRIVE, {**drive, "plant": _plain(asdict(plant))})
+        self.connect(plant)
         model, _ = parse(read_text(ASSUMED_MODEL), ASSUMED_MODEL.name)
         for key in ("inertia_kg_m2", "delay_s"):
             model[key]["source"] = "assumed"
@@ -93,6 +92,11 @@ class Chain:
         axis["envelope"]["accept_runaway"] = True  # as a draft of bring-up has it for a simulated drive
         axis |= {"name": "axis", "model": MODEL, "commissioning": "axis.commissioning.yaml"}
         _write(self.axis, axis)
+
+    def connect(self, plant: PlantConfig) -> None:
+        """The plant is what the axis has from now on."""
+        drive, _ = parse(read_text(CONFIGS / DRIVE), DRIVE)
+        _write(self.place / DRIVE, {**drive, "plant": _plain(asdict(plant))})
 
     def commission(self) -> None:
         """As `commission AXIS --yes`. Raises ValueError where it does not pass."""
