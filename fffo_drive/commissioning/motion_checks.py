@@ -284,7 +284,8 @@ def resonance(found: ResponseRecord | str) -> CheckRecord:
     if isinstance(found, str):
         remedy = (
             "`tune` takes the axis for a rigid one: if something elastic hangs on it, commission again with a larger "
-            "--current or --speed, or diagnose its recordings before the gains are raised"
+            "--current or --speed, or where feedback was missing with a drive and a PC that keep time (realtime.*, the "
+            "load of the bus), or diagnose its recordings before the gains are raised"
         )
         return judged("resonance", WARNING, f"the response was not measured: {found}", remedy)
     band = f"{found.frequency_hz[0]:.0f} to {found.frequency_hz[-1]:.0f} Hz"

@@ -513,10 +513,9 @@ class _Procedure:
             with self.rig.under(envelope, sweeps.loop) as runner:  # a new session after each trip
                 run: PulseRun | None = None
                 while not sweeps.done and (run is None or run.fault_text is None):
-                    profile = sweeps.next()
-                    if profile is None:
-                        return "no current within the bounds makes the axis move back and forth at a steady speed"
-                    run = runner.run(profile)
+                    if (refusal := sweeps.refusal) is not None:
+                        return refusal
+                    run = runner.run(sweeps.next())
                     self._note_rest(run.motion)
                     if run.fault_text is None:
                         sweeps.made(run.motion)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Floats
+from ..arrays import Floats, Integers
 from ..control.envelope import TRIP_OVERSPEED, TRIP_POSITION_WINDOW
 from ..control.reference import MODE_VELOCITY, Profile
 from ..control.stability import RIGID, Complexes
@@ -43,6 +43,10 @@ KICK_SHARE = 0.25  # of half a period
 SLOW_HZ, FILTER_HZ, CORNER_HZ = 2.0, 8.0, 0.5  # crossover of the slow loop, its filter, its integral
 MOST_TRIALS = 16
 MOST_TRIPS = 5
+# A run is torn, and made again, where feedback is missing for longer: a gap of 2 ms in each run moved no margin of the
+# example by more than 5 degrees, one of 4 ms put single lines so far off that the loop at rest seemed unstable
+LONGEST_GAP_S = 1e-3
+MOST_TORN = 6
 EASED = 0.8  # speed and sweep, after a trip
 POINTS = 150  # of the response in a record
 TOO_FAR = (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)  # a swing that was too large
@@ -69,13 +73,13 @@ class Sweeps:
 
     def __init__(self, bounds: Bounds, breakaway_a: float, gain: GainFit, period_s: float) -> None:
         self.bounds, self.period_s = bounds, period_s
-        self._gain, self._delay_s = gain.gain_rps2_per_a, gain.delay_s
+        self._gain, self.delay_s = gain.gain_rps2_per_a, gain.delay_s
         self.band_hz = (BAND_HZ[0], min(BAND_HZ[1], HIGHEST_SHARE / period_s))
         speed_rps, bias_a = WANTED_SHARE * bounds.speed_rps, FIRST_SHARE * breakaway_a
         kick_a = FIRST_SHARE * 2.0 * speed_rps / (self._gain * KICK_SHARE * 0.5 / SWING_HZ)
         most_sweep_a = CURRENT_SHARE * bounds.current_a
         self.swing = Swing(speed_rps, kick_a, bias_a, -bias_a, SPEED_SHARE * bounds.speed_rps, most_sweep_a)
-        self._trips = self._trials = 0
+        self._trips = self._trials = self._torn = 0
         self._slides = False
         self._way = 1.0  # in which the next motion begins: they take turns, or the axis would wander
         self.measured: list[PulseMotion] = []
@@ -88,7 +92,7 @@ class Sweeps:
             proportional,
             2.0 * math.pi * CORNER_HZ * proportional,
             -math.expm1(-2.0 * math.pi * FILTER_HZ * self.period_s),
-            self._delay_s / self.period_s + 0.5,
+            self.delay_s / self.period_s + 0.5,
         )
 
     @property
@@ -101,11 +105,17 @@ class Sweeps:
         """Whether the response is measured."""
         return len(self.measured) == RUNS
 
-    def next(self) -> Profile | None:
-        """The next motion: trials of a second until the axis slides as it should, then runs; None: no more is tried."""
-        spent = self._trials >= MOST_TRIALS or self._trips > MOST_TRIPS
-        if spent or self.swing.most_a > self.bounds.current_a:
-            return None
+    @property
+    def refusal(self) -> str | None:
+        """Why no more is tried."""
+        if self._torn > MOST_TORN:
+            return f"feedback was missing for more than {LONGEST_GAP_S * 1e3:g} ms in {self._torn} runs of it"
+        if self._trials >= MOST_TRIALS or self._trips > MOST_TRIPS or self.swing.most_a > self.bounds.current_a:
+            return "no current within the bounds makes the axis move back and forth at a steady speed"
+        return None
+
+    def next(self) -> Profile:
+        """The next motion: trials of a second until the axis slides as it should, then runs."""
         if self._slides:
             return self._profile(2 * PAIRS)
         self._trials += 1
@@ -118,7 +128,9 @@ class Sweeps:
         if fast and max(slid) < SLIDING_MOST:  # not because it slides too fast: it swings on a spring
             self.ease()
             return
-        if self._slides and not fast:
+        if self._slides and self._gap_s(motion) > max(LONGEST_GAP_S, 1.5 * self.period_s):
+            self._torn += 1
+        elif self._slides and not fast:
             self.measured.append(motion)
         self._slides = not fast and min(slid) > SLIDING_LEAST and max(slid) < SLIDING_MOST
         self._way = -self._way
@@ -162,10 +174,20 @@ class Sweeps:
         Rows without fresh feedback are missing: a command is held over them, a velocity lies between.
         """
         running = motion.part(motion.sample >= 0)
-        first = round(LEAD_S / self.period_s) + self._half_kick
-        samples = first + np.arange(sweeps * round(SWEEP_S / self.period_s))
+        samples = self._samples(sweeps)
         held = np.searchsorted(running.sample, samples, side="right") - 1
         return running.command_a[held], np.interp(samples, running.sample, running.velocity_rps)
+
+    def _samples(self, sweeps: int) -> Integers:
+        """Those of a profile in which it has so many sweeps."""
+        first = round(LEAD_S / self.period_s) + self._half_kick
+        return first + np.arange(sweeps * round(SWEEP_S / self.period_s))
+
+    def _gap_s(self, motion: PulseMotion) -> float:
+        """The longest time without fresh feedback in the pair of a run that is measured."""
+        measured = self._samples(2 * PAIRS)[-2 * round(SWEEP_S / self.period_s) :]
+        seen = np.intersect1d(measured, motion.sample)
+        return float(np.diff(seen, prepend=measured[0] - 1, append=measured[-1] + 1).max() - 1) * self.period_s
 
     def _half_periods(self, time_s: Floats) -> tuple[Floats, Floats]:
         """Side of the half period, and the share of it that has passed. It begins after a kick."""
@@ -176,7 +198,7 @@ class Sweeps:
     def _corrected(self, motion: PulseMotion) -> tuple[float, float]:
         """Correct the swing after a motion. Its speed after a kick and before the next, over what it should be."""
         command_a, velocity_rps = self._swept(motion, 2 * PAIRS if self._slides else 1)
-        side, since = self._half_periods(np.arange(float(command_a.size)) * self.period_s - self._delay_s)
+        side, since = self._half_periods(np.arange(float(command_a.size)) * self.period_s - self.delay_s)
         third = (1.0 - KICK_SHARE) / 3.0
         along_rps, swing = side * velocity_rps, self.swing
         after_rps = float(np.mean(along_rps[(since >= KICK_SHARE) & (since < KICK_SHARE + third)]))
@@ -207,7 +229,7 @@ class Sweeps:
 def response_record(sweeps: Sweeps) -> ResponseRecord:
     """The response to all sweeps, the fit to it, and how the axis moved."""
     lines = sweeps.lines()
-    fit = fit_sweep(lines)
+    fit = fit_sweep(lines, sweeps.delay_s)
     frequency_hz, response, coherence = _thinned(lines, fit)
     elastic, sd = fit.elastic, fit.elastic_sd
     found = None

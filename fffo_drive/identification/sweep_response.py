@@ -93,14 +93,14 @@ def sweep_lines(
     return SweepLines(frequency_hz[inside], response, noise)
 
 
-def fit_sweep(lines: SweepLines) -> SweepFit:
-    """The axis, with the elastic load where there is one."""
+def fit_sweep(lines: SweepLines, delay_s: float) -> SweepFit:
+    """The axis, with the elastic load where there is one. `delay_s`: about its delay; a fit begins there as well."""
     s = 2j * math.pi * lines.frequencies_hz
     gain = float(np.median(np.abs(lines.response * s)[: max(3, lines.frequencies_hz.size // 6)]))
     rigid = min(
         (
-            _fit(lines, np.array([math.log(gain), delay_s, math.log(filter_hz), 1.0, 1.0, 0.0]))
-            for delay_s in DELAYS_S
+            _fit(lines, np.array([math.log(gain), start_s, math.log(filter_hz), 1.0, 1.0, 0.0]))
+            for start_s in (*DELAYS_S, delay_s)
             for filter_hz in FILTERS_HZ
         ),
         key=lambda found: float(found.cost),
@@ -126,11 +126,11 @@ def fit_sweep(lines: SweepLines) -> SweepFit:
     )
     found = elastic if there else rigid
     load = ElasticLoad(float(share), math.exp(log_hz), math.exp(log_damping)) if there else RIGID
-    log_gain, delay_s, log_filter_hz, filter_damping, damping, contact = (float(v) for v in found.x[:BASE])
+    log_gain, fitted_s, log_filter_hz, filter_damping, damping, contact = (float(v) for v in found.x[:BASE])
     lag_s = filter_damping / (math.pi * math.exp(log_filter_hz))
     return SweepFit(
         math.exp(log_gain),
-        delay_s + lag_s,
+        fitted_s + lag_s,
         damping,
         contact,
         load,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +17,13 @@ from hypothesis import strategies as st
 from trial_axes.random_axis import wide_axis
 
 from fffo_drive.cli import main
+from fffo_drive.commissioning import procedure
+from fffo_drive.commissioning.motion_checks import resonance
 from fffo_drive.commissioning.procedure import NotAgreedError, commission
 from fffo_drive.commissioning.record import content_hash, read_record, write_record
+from fffo_drive.commissioning.sweep import PAIRS, SWEEP_S, response_record
 from fffo_drive.config.axis import loop_axis, read_axis
-from fffo_drive.config.checks import law_problems
+from fffo_drive.config.checks import law_problems, rest_margins
 from fffo_drive.config.measured_axis import with_response
 from fffo_drive.control.stability import (
     RIGID,
@@ -41,6 +46,23 @@ GAIN = PLANT.torque_constant_nm_per_a / (2.0 * math.pi * PLANT.inertia_kg_m2)
 def elastic(share, frequency_hz, damping):
     values = {"load_share": share, "frequency_hz": frequency_hz, "damping": damping}
     return (EffectConfig("elasticity", values),)
+
+
+@pytest.fixture(scope="module")
+def rigid():
+    """The sweeps of a rigid axis, and their response."""
+    with pytest.MonkeyPatch.context() as patch:
+        made = []
+        patch.setattr(procedure, "response_record", lambda sweeps: made.append(sweeps) or response_record(sweeps))
+        _, response, _ = swept(PLANT)
+    return made[0], response
+
+
+def having(sweeps, measured):
+    """These sweeps with nothing but these runs, before one that begins backwards, as the first and third did."""
+    again = copy(sweeps)
+    again.measured, again._slides, again._way = list(measured), True, -1.0
+    return again
 
 
 def swept(plant, bounds=BOUNDS):
@@ -77,17 +99,22 @@ def test_the_elastic_load_of_a_drive_is_found(truth):
 @pytest.mark.parametrize(
     "plant",
     [
-        PLANT,
         replace(PLANT, effects=(EffectConfig("cogging", {"amplitude_nm": 0.01}), EffectConfig("resolver_error", {}))),
         wide_axis(PlantConfig(), 5005).plant,  # cogging, friction by direction and angle
         wide_axis(PlantConfig(), 5017).plant,  # LuGre, another shape of presliding
         wide_axis(PlantConfig(), 5033).plant,  # an encoder; sticky patches
     ],
-    ids=["default", "cogging and resolver", "5005", "5017", "5033"],
+    ids=["cogging and resolver", "5005", "5017", "5033"],
 )
 def test_a_rigid_axis_has_no_elastic_load(plant):
     check, response, _ = swept(plant)
     assert check.verdict == "ok", check.text
+    assert response.elastic is None
+
+
+def test_the_default_axis_has_none(rigid):
+    sweeps, response = rigid
+    assert resonance(response).verdict == "ok"
     assert response.elastic is None
 
 
@@ -126,7 +153,7 @@ def test_the_sweep_is_asked_for_with_its_speed_and_how_far_it_goes():
 )
 def test_the_fit_finds_what_the_response_was_made_of(share, frequency_hz, damping, delay_s, seed):
     lines = made_lines(ElasticLoad(share, frequency_hz, damping), delay_s, seed)
-    fit = fit_sweep(lines)
+    fit = fit_sweep(lines, 0.003)
     assert fit.elastic.frequency_hz == pytest.approx(frequency_hz, rel=0.02)
     assert fit.elastic.share == pytest.approx(share, abs=0.04)
     assert fit.delay_s == pytest.approx(delay_s, abs=3e-4)
@@ -143,8 +170,56 @@ def made_lines(load, delay_s, seed, noise=0.01):
 
 
 def test_noise_alone_is_no_resonance():
-    found = [fit_sweep(made_lines(RIGID, 0.003, seed, noise)) for seed in range(3) for noise in (0.01, 0.1)]
+    found = [fit_sweep(made_lines(RIGID, 0.003, seed, noise), 0.003) for seed in range(3) for noise in (0.01, 0.1)]
     assert all(fit.elastic == RIGID for fit in found)
+
+
+def test_a_drive_that_answers_late_is_fitted_from_the_delay_that_the_pulses_found():
+    fit = fit_sweep(made_lines(RIGID, 0.0125, 1), 0.0122)
+    assert fit.delay_s == pytest.approx(0.0125, abs=1e-4)
+    assert fit.gain_rps2_per_a == pytest.approx(157.0, rel=0.02)
+
+
+def without_answers(sweeps, gap_s):
+    """The same runs where no feedback came for so long, three quarters through the last sweep but one."""
+    period_s = PLANT.sync_period_s
+    first = sweeps._samples(2 * PAIRS)[-round(1.25 * SWEEP_S / period_s)]
+    after = first + round(gap_s / period_s)
+    return [motion.part((motion.sample < first) | (motion.sample >= after)) for motion in sweeps.measured]
+
+
+def test_a_run_in_which_feedback_was_missing_is_made_again(rigid):
+    sweeps, _ = rigid
+    whole = sweeps.measured
+    torn, nearly = (without_answers(sweeps, gap_s) for gap_s in (0.004, 0.001))
+    axis = read_axis(CONFIGS / "axis_bench.yaml")
+
+    def margins(measured):
+        axis._response = response_record(having(sweeps, measured))
+        return rest_margins(axis, PLAN.model)
+
+    assert margins(torn).gain < 1.0  # an axis that is stable, as if it were not
+    assert margins(nearly).gain == pytest.approx(margins(whole).gain, rel=0.05)
+    again = having(sweeps, [])
+    for motion in (torn[0], whole[1], torn[2], torn[1], nearly[0], whole[1]):  # in turn backwards and forwards
+        assert again.refusal is None
+        assert not again.done
+        again.made(motion)
+    assert again.done
+    assert [id(motion) for motion in again.measured] == [id(one) for one in (whole[1], nearly[0], whole[1])]
+
+
+def test_a_response_without_a_whole_run_is_not_measured_and_said(rigid):
+    sweeps, _ = rigid
+    late = having(sweeps, [])
+    torn = itertools.cycle(without_answers(sweeps, 0.004)[:2])
+    while late.refusal is None:
+        late.made(next(torn))
+    assert late.measured == []
+    check = resonance(late.refusal)
+    assert check.verdict == "warning"
+    assert "feedback was missing for more than 1 ms" in check.text
+    assert "realtime." in check.remedy
 
 
 def test_a_record_keeps_the_response_and_an_older_one_its_hash(tmp_path):
