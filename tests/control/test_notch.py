@@ -18,8 +18,11 @@ from fffo_drive.control.controller import (
 from fffo_drive.control.feedforward import NO_FEEDFORWARD, FeedforwardConfig, Reference, steady_reference
 from fffo_drive.control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_OFF, ObserverConfig
 from fffo_drive.control.notch import (
+    MOST_NOTCHES,
     NO_NOTCHES,
     Notch,
+    NotchState,
+    SectionState,
     notch_config,
     notch_step,
     notches_at_rest,
@@ -71,22 +74,33 @@ def test_a_notch_is_half_as_strong_in_power_at_the_edges_of_its_width():
     assert np.abs(response((notch,), *edges_hz)) == pytest.approx([math.sqrt(0.5)] * 2, rel=0.01)
 
 
+def matrix_of_a_period(config):
+    """The kernel's step is linear: its matrix, from memory and value to the memory after it and what passes."""
+    columns = []
+    for one, two, three, four, value in np.eye(2 * MOST_NOTCHES + 1).tolist():
+        memory = NotchState(SectionState(one, two), SectionState(three, four))
+        passed, after = notch_step(config, memory, value)
+        columns.append([*after.first, *after.second, passed])
+    return np.array(columns).T
+
+
 @settings(deadline=None)  # the first call compiles
-@given(st.lists(NOTCHES, min_size=1, max_size=2), st.floats(2.0, 900.0))
-def test_the_kernel_has_the_response_that_the_margins_count(notches, frequency_hz):
+@given(
+    st.lists(NOTCHES, min_size=1, max_size=2),
+    st.floats(2.0, 900.0),
+    st.lists(st.floats(-9.0, 9.0), min_size=5, max_size=5),
+)
+def test_the_kernel_has_the_response_that_the_margins_count(notches, frequency_hz, numbers):
     config = notch_config(notches, PERIOD_S)
-    # the slowest pole decays to nothing long before the last period
-    slowest = min(notch.frequency_hz * min(notch.width, 1.0 / notch.width) for notch in notches)
-    count = math.ceil(40.0 / (math.pi * slowest * PERIOD_S))
-    turn = 2.0 * math.pi * frequency_hz * PERIOD_S
-    found = []
-    for quarter in (0.0, 0.5 * math.pi):
-        state = notches_at_rest()
-        for k in range(count):
-            passed, state = notch_step(config, state, math.cos(turn * k + quarter))
-        found.append(passed)
-    expected = response(notches, frequency_hz)[0] * np.exp(1j * turn * (count - 1))
-    assert found == pytest.approx([expected.real, -expected.imag], abs=1e-6)
+    period = matrix_of_a_period(config)
+    one, two, three, four, value = numbers
+    passed, after = notch_step(config, NotchState(SectionState(one, two), SectionState(three, four)), value)
+    assert [*after.first, *after.second, passed] == pytest.approx(list(period @ numbers), abs=1e-12)
+    # x' = A x + B u, y = C x + D u: a sine that has settled passes C (z - A)^-1 B + D
+    turned = np.exp(2j * math.pi * frequency_hz * PERIOD_S) * np.eye(4) - period[:4, :4]
+    found = period[4, :4] @ np.linalg.solve(turned, period[:4, 4]) + period[4, 4]
+    assert found == pytest.approx(response(notches, frequency_hz)[0], abs=1e-6)
+    assert np.abs(np.linalg.eigvals(period[:4, :4])).max() < 1.0  # whatever it began with decays
 
 
 def test_a_law_without_notches_is_that_of_before_bit_for_bit():
