@@ -125,22 +125,18 @@ def test_the_chain_in_one_process_writes_what_the_typed_commands_write(
         runs = [read_run(chain.place / f"{name}.mcap").rows for chain in (made, typed)]
         assert all(np.array_equal(runs[0][column], runs[1][column], equal_nan=True) for column in runs[0].dtype.names)
         shutil.copy(made.place / f"{name}.mcap", typed.place)  # a recording has its date, a model the hash of the file
-    types("identify", "~/chirp.mcap", "~/sweep.mcap", "--out", "~/model")
-    types("tune", "~/model/model.yaml", "--axis", "~/axis.yaml", "--out", "~/tuned")
+    # the commands as processes of their own, as the typed chain of the benchmark has them
+    processes = chain_files.TypedChain(typed.place)
+    processes.identify([typed.place / f"{name}.mcap" for name in chain_files.PROFILES])
+    processes.tune()
     for name in ("axis.yaml", "axis.commissioning.yaml", "model/model.yaml", "tuned/axis.yaml"):
         assert (made.place / name).read_bytes() == (typed.place / name).read_bytes(), name
+    assert processes.warnings
     section = yaml.safe_load((typed.place / "tuned" / "controller.yaml").read_text())["controller"]
     whole = yaml.safe_load(made.tuned.read_text())["controller"]
     assert formats.over(whole, section) == whole
-
-    # the commands as processes of their own, as the typed chain of the benchmark has them
-    once_more = chain_files.TypedChain(typed.place)
-    once_more.identify([typed.place / f"{name}.mcap" for name in chain_files.PROFILES])
-    once_more.tune()
-    assert (made.place / "tuned" / "axis.yaml").read_bytes() == once_more.tuned.read_bytes()
-    assert once_more.warnings
     with pytest.raises(ValueError, match=r"tune: fffo-drive tune: .*no_such\.yaml"):
-        once_more.tune(typed.place / "no_such.yaml")
+        processes.tune(typed.place / "no_such.yaml")
 
     axis, model = read_axis(made.tuned), read_model(made.model())
     assert law_problems(axis, model, observer_on=True) == []
