@@ -133,19 +133,40 @@ def test_the_stream_is_read_by_three_clients():
     assert facts.get("pictures a second in the browser", 1.0) > 0.0
 
 
+# each a test of its own, so that two workers share them
+
+
 @pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
-def test_nothing_moves_after_a_stop_on_any_way_and_hostile_clients_end_no_motion():
+def test_nothing_moves_when_a_start_races_a_stop():
     facts = sample("stops", "--races")
     assert facts["races of a start with a stop that was acknowledged"] > 12
     assert facts["of them, the axis moved or ran afterwards"] == 0, facts["wrong"]
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_nothing_moves_after_a_stop_on_any_way():
     facts = sample("attacks", "--only", "motion_after_stop")
     assert facts["motion after a stop: motions after an acknowledged stop"] == 0, facts
     assert facts["motion after a stop: races"] > 20
     assert sum(int(row["requests refused"]) for row in facts["motion after a stop"]) > 100
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_frames_of_somebody_else_are_named():
     facts = sample("attacks", "--only", "foreign_frames")
     assert facts["frames of somebody else: not named within 2 ticks"] == 0, facts
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_hostile_clients_end_no_motion():
     facts = sample("stops")
     assert "abandoned" not in facts["faults"]
     facts = sample("hostile")

@@ -166,7 +166,7 @@ def test_a_relative_root_is_made_absolute_for_the_system_programs(tmp_path, monk
     assert all(str(tmp_path / "image") in command["command"] for command in printed)
 
 
-@pytest.mark.slow
+@pytest.mark.long  # it builds the wheel, and with it the manual
 def test_the_wheel_brings_all_files(site, tmp_path):
     """The wheel installs the same files as the source tree."""
     root = tmp_path / "root"

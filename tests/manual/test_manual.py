@@ -65,7 +65,7 @@ def pages(built):
     return {path: Links(path.read_text(encoding="utf-8")) for path in sorted(built.rglob("*.html"))}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_link_inside_leads_somewhere(pages):
     broken = []
     for page, links in pages.items():
@@ -79,13 +79,13 @@ def test_every_link_inside_leads_somewhere(pages):
     assert broken == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pages_load_nothing_from_a_network(pages):
     for page, links in pages.items():
         assert [address for address in links.loaded if re.match(r"(https?:)?//", address)] == [], page.name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_reference_has_every_command_file_signal_law_and_method(built):
     def text(name):
         return (built / "reference" / f"{name}.html").read_text(encoding="utf-8")
