@@ -1,13 +1,16 @@
 """The wheel is whole: every command of an installed one, typed once as its user would after `fffo-drive init DIR`.
 
 The wheel is built and installed into an environment of its own. Of the test environment it sees the libraries alone;
-home, runtime directory, compiled code and working directory are new. A command without a line here fails by name.
+home, runtime directory and working directory are new. It is given what the source tree has compiled, minutes of work, and
+compiles one small kernel of its own. A command without a line here fails by name.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,10 +27,12 @@ from buses import PATIENCE_S
 from daemon.rig import PATIENT, PATIENT_DAEMON, PATIENT_DRIVE, PATIENT_LIMITS, edit
 from importing.axis_log import Dialect, as_text, truth
 from install.test_install import PROGRAM
+from numba.core.caching import UserProvidedCacheLocator
 
 from fffo_drive.can.link import free_loopback_port
 from fffo_drive.cli import COMMANDS, parser_of
 from fffo_drive.cli.exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT
+from fffo_drive.jit import PACKAGE_DIRECTORY, cache_directory
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 # `commission` ends with it where a busy machine misses a limit of time; the record is written all the same
@@ -117,6 +122,7 @@ THE_END = (
 RUN = Typed("run short.yaml --out work.mcap", "0 skipped", "work.mcap")
 INIT = Typed("init bench", "cd bench", "bench/configs/axis_bench.yaml")
 LIBRARY = f"import fffo_drive as fd; print(fd.__file__); print(fd.replay('{RUN.makes}').exact)"
+KERNEL = "from fffo_drive.control.notch import notches_at_rest; notches_at_rest()"  # a small one
 SIM = "sim patient_drive.yaml --bus {bus}"
 SERVE = "serve patient.yaml --bus {bus} --sockets s --uncommissioned --scope 0"
 WORKBENCH = "workbench configs/axis_undeclared.yaml --out work --no-browser"
@@ -157,11 +163,25 @@ def environment(wheel, tmp_path_factory) -> dict[str, str]:
     # the libraries come after the wheel; an editable installation there is a .pth file, which is not read from here
     site = venv / "lib" / PYTHON / "site-packages"
     (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    share_kernels(site / "fffo_drive", home / ".cache" / "fffo_drive" / "numba")
     (home / "run").mkdir(mode=0o700, parents=True)
     return {
         "PATH": f"{venv / 'bin'}:/usr/bin:/bin", "HOME": str(home), "XDG_RUNTIME_DIR": str(home / "run"),
         "XDG_CACHE_HOME": str(home / ".cache"), "LANG": "C.UTF-8", "COLUMNS": "200", "PYTHONUNBUFFERED": "1",
     }  # fmt: skip
+
+
+def share_kernels(installed: Path, cache: Path) -> None:
+    """Give what is compiled of the source tree to the same files elsewhere: numba knows them by path and time."""
+    there = cache / cache_directory().name
+    for path in PACKAGE_DIRECTORY.rglob("*.py"):
+        copy = installed / path.relative_to(PACKAGE_DIRECTORY)
+        assert copy.read_bytes() == path.read_bytes()
+        os.utime(copy, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns))
+        of_source, of_copy = (UserProvidedCacheLocator.get_suitable_cache_subpath(str(file)) for file in (path, copy))
+        if (cache_directory() / of_source).is_dir() and not (there / of_copy).exists():
+            unfinished = shutil.ignore_patterns("*.tmp.*")
+            shutil.copytree(cache_directory() / of_source, there / of_copy, ignore=unfinished)
 
 
 class User:
@@ -289,6 +309,9 @@ def test_every_command_works_from_an_installed_wheel(environment, tmp_path):
     where, exact = done.stdout.splitlines()
     assert Path(where).is_relative_to(user.python.parents[1])
     assert exact == "True"
+    new = environment | {"NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+    subprocess.run([user.python, "-c", KERNEL], cwd=user.place, env=new, check=True)
+    assert list((tmp_path / "compiled").rglob("*.nbc"))
     recording = (user.place / RUN.makes).read_bytes()
     (user.place / "torn.mcap.part").write_bytes(recording[: len(recording) // 2])
     user.type(*IN_PROCESS)
