@@ -1,8 +1,8 @@
 """The wheel is whole: every command of an installed one, typed once as its user would after `fffo-drive init DIR`.
 
 The wheel is built and installed into an environment of its own. Of the test environment it sees the libraries alone;
-home, runtime directory and working directory are new. It is given what the source tree has compiled, minutes of work, and
-compiles one small kernel of its own. A command without a line here fails by name.
+home, runtime directory and working directory are new. It is given what the source tree has compiled, minutes of work,
+and compiles one small kernel of its own. A command without a line here fails by name.
 """
 
 from __future__ import annotations
