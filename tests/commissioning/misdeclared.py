@@ -1,6 +1,7 @@
 """A drive whose scaling is not what is declared: the simulated drive behind factors on what goes in and out.
 
-It keeps the extremes of the true speed and the true angle at all ticks, which no declaration can touch.
+It keeps the extremes of the true speed and the true angle at all ticks, which no declaration can touch. Its port has a
+gate in its clock as well (`evaluation.gated`): the loop is compiled once for both.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from fffo_drive.drive.port import (
 from fffo_drive.drive.simulated.in_process import SimulatedDrive, SimulatedPort
 from fffo_drive.drive.simulated.state import ANGLE_REV, VELOCITY_RPS
 from fffo_drive.jit import njit
+from fffo_drive.jit.atomic import load_acquire, store_release
 
+OPEN_UNTIL, WAITS = 0, 1  # of the gate: how many ticks may begin; how many have begun, and 1 more where the loop waits
 # numbers of MisdeclaredPort
 TORQUE, VELOCITY, POSITION, CURRENT, HOLD, DRIFT_REV = range(6)
 HIGHEST_RPS, LOWEST_REV, HIGHEST_REV, HIGHEST_A, HELD_RPS = range(6, 11)
@@ -33,6 +36,14 @@ class MisdeclaredPort(NamedTuple):
     feedback: Any
     numbers: Any  # (N_NUMBERS,)
     inner: SimulatedPort
+    gate: Any  # (2,) int64
+
+
+def wrapped(feedback, inner, *, torque=1.0, velocity=1.0, position=1.0, current=1.0, hold=1, drift=0.0):
+    """The port, with its gate open."""
+    numbers = np.zeros(N_NUMBERS)
+    numbers[:6] = torque, velocity, position, current, hold, drift
+    return MisdeclaredPort(feedback, numbers, inner, np.array([np.iinfo(np.int64).max, 0]))
 
 
 @port_now_ns.register(MisdeclaredPort)
@@ -44,6 +55,10 @@ def now_ns(port):
 @port_sleep_until.register(MisdeclaredPort)
 @njit
 def sleep_until(port, deadline_ns):
+    begun = port.gate[WAITS] + 1
+    store_release(port.gate, WAITS, begun)
+    while load_acquire(port.gate, OPEN_UNTIL) < begun:
+        pass
     return port_sleep_until(port.inner, deadline_ns)
 
 
@@ -90,19 +105,15 @@ def command(port, tick, controlword, current_a):
 @port_housekeeping.register(MisdeclaredPort)
 @njit
 def housekeeping(port, tick, tripped):
-    return 0
+    return port_housekeeping(port.inner, tick, tripped)
 
 
 class MisdeclaredDrive:
     """Behind the `Drive` protocol. Factors: of what is there, over what is declared."""
 
-    def __init__(
-        self, plant=None, device=None, *, torque=1.0, velocity=1.0, position=1.0, current=1.0, hold=1, drift=0.0
-    ):
+    def __init__(self, plant=None, device=None, **factors):
         self.inner = SimulatedDrive(plant, device)
-        numbers = np.zeros(N_NUMBERS)
-        numbers[:6] = torque, velocity, position, current, hold, drift
-        self.port = MisdeclaredPort(new_feedback(), numbers, self.inner.port)
+        self.port = wrapped(new_feedback(), self.inner.port, **factors)
         self.connected = 0
 
     def connect(self):

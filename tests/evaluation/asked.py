@@ -108,7 +108,7 @@ class Asked:
             self.session.ring,
             self.path,
             settings=self._settings,
-            hooks=RecorderHooks(clock_ns=lambda: int(self.run.drive.port.drive.words[0])),
+            hooks=RecorderHooks(clock_ns=lambda: int(self.run.drive.port.inner.words[0])),
             records=self.session.records,
             from_now=value == 1.0,
             memory=Ticking(self.session, self.run) if value == 1.0 else self.session,

@@ -8,73 +8,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from commissioning.misdeclared import OPEN_UNTIL, WAITS, wrapped
 
-from fffo_drive.drive.port import (
-    port_command,
-    port_housekeeping,
-    port_now_ns,
-    port_receive,
-    port_sleep_until,
-    port_sync,
-)
 from fffo_drive.drive.simulated.in_process import SimulatedDrive
-from fffo_drive.jit import INTERPRETED, njit
+from fffo_drive.jit import INTERPRETED
 from fffo_drive.jit.atomic import load_acquire, store_release
 from fffo_drive.runtime.session import Session, SessionConfig
 
-OPEN_UNTIL, WAITS = 0, 1  # how many ticks may begin; how many have begun, and 1 more where the loop waits
 PATIENCE_S = 60.0
-
-
-class GatedPort(NamedTuple):
-    """The compiled side."""
-
-    feedback: Any
-    drive: Any  # SimulatedPort
-    gate: Any  # (2,) int64
-
-
-@port_now_ns.register(GatedPort)
-@njit
-def _now_ns(port):
-    return port_now_ns(port.drive)
-
-
-@port_sleep_until.register(GatedPort)
-@njit
-def _sleep_until(port, deadline_ns):
-    begun = port.gate[WAITS] + 1
-    store_release(port.gate, WAITS, begun)
-    while load_acquire(port.gate, OPEN_UNTIL) < begun:
-        pass
-    return port_sleep_until(port.drive, deadline_ns)
-
-
-@port_sync.register(GatedPort)
-@njit
-def _sync(port, tick):
-    return port_sync(port.drive, tick)
-
-
-@port_receive.register(GatedPort)
-@njit
-def _receive(port, tick, cutoff_ns):
-    return port_receive(port.drive, tick, cutoff_ns)
-
-
-@port_command.register(GatedPort)
-@njit
-def _command(port, tick, controlword, current_a):
-    return port_command(port.drive, tick, controlword, current_a)
-
-
-@port_housekeeping.register(GatedPort)
-@njit
-def _housekeeping(port, tick, tripped):
-    return port_housekeeping(port.drive, tick, tripped)
 
 
 class GatedDrive(SimulatedDrive):
@@ -82,11 +26,13 @@ class GatedDrive(SimulatedDrive):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.gate = np.zeros(2, np.int64)
+        self.wrapped = wrapped(self.feedback, super().port)
+        self.gate = self.wrapped.gate
+        self.gate[OPEN_UNTIL] = 0
 
     @property
     def port(self) -> Any:
-        return GatedPort(self.feedback, super().port, self.gate)
+        return self.wrapped
 
 
 class GatedRun:
