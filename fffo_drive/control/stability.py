@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +111,9 @@ class LinearAxis(NamedTuple):
         return alone._replace(elastic=ElasticLoad(other, faster * frequency_hz, faster * damping_ratio))
 
 
+NOTHING = LinearAxis(1.0, 0.0, 0.0, 1.0)  # for what a part of an axis makes alone
+
+
 class Margins(NamedTuple):
     """Margins of the open loop; infinite without a crossing."""
 
@@ -129,12 +132,17 @@ def condition_14_nm_per_rev(
 
 def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
     """Torque over velocity of the motor shaft, without the delay; s and the result (n,)."""
+    return moved_nm_per_rps(axis, s) + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+
+
+def moved_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
+    """The part of inertia and elastic load in it, as measured where it was; s and the result (n,)."""
     moved = mechanics_nm_per_rps(axis.inertia_nm_s2_per_rev, axis.elastic, s)
-    if axis.measured is not None:
-        measured_hz = np.array(axis.measured.frequencies_hz)
-        ratio = np.interp(np.abs(s) / (2.0 * math.pi), measured_hz, np.array(axis.measured.ratio), 1.0, 1.0)
-        moved = moved * ratio
-    return moved + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+    if axis.measured is None:
+        return moved
+    measured_hz = np.array(axis.measured.frequencies_hz)
+    ratio = np.interp(np.abs(s) / (2.0 * math.pi), measured_hz, np.array(axis.measured.ratio), 1.0, 1.0)
+    return np.asarray(moved * ratio)
 
 
 def mechanics_nm_per_rps(inertia_nm_s2_per_rev: float, elastic: ElasticLoad, s: Complexes) -> Complexes:
@@ -200,13 +208,15 @@ class OpenLoop:
     def __init__(self, axis: LinearAxis, stride: int = 1, velocity_rps_per_nm: Complexes | None = None) -> None:
         """On each `stride`-th frequency. `velocity_rps_per_nm`: of the axis there, where it is known already."""
         omega = sweep_rad_per_s(axis.estimator)[::stride]
-        s = 1j * omega
         self.axis = axis
         self._stride, self._omega = stride, omega
-        self._plant = 1.0 / impedance_nm_per_rps(axis, s) if velocity_rps_per_nm is None else velocity_rps_per_nm
-        self._of_error = error_response(axis, s)
+        self._plant = _velocity_rps_per_nm(axis, stride) if velocity_rps_per_nm is None else velocity_rps_per_nm
+        filters = NOTHING._replace(
+            error_filter_s=axis.error_filter_s, notches=axis.notches, period_s=axis.period_s, estimator=axis.estimator
+        )
+        self._of_error = _on_sweep(error_response, filters, stride)
         whole = self._of_error * self._plant
-        self._magnitude, self._phase = np.abs(whole), np.unwrap(np.angle(whole)) - omega * axis.delay_s
+        self._magnitude, self._phase = np.abs(whole), _unwrapped(whole) - omega * axis.delay_s
 
     def behind(self, notches: tuple[Notch, ...]) -> OpenLoop:
         """The same with these notches."""
@@ -243,9 +253,10 @@ class OpenLoop:
         )
 
 
-def open_loops(axis: LinearAxis, stride: int = 1) -> list[OpenLoop]:
+@functools.lru_cache(maxsize=3)  # of an axis in motion and on both contacts, whose gains a design tries in turn
+def open_loops(axis: LinearAxis, stride: int = 1) -> tuple[OpenLoop, ...]:
     """The loops over which the margins of an axis are the smallest ones."""
-    return [OpenLoop(one, stride) for load in over_loads(axis) for one in over_resonances(load)]
+    return tuple(OpenLoop(one, stride) for load in over_loads(axis) for one in over_resonances(load))
 
 
 def loop_margins(
@@ -265,6 +276,27 @@ def _response(estimator: VelocityEstimatorConfig) -> EstimatorResponse:
     return estimator_response(estimator, sweep_rad_per_s(estimator))
 
 
+def _velocity_rps_per_nm(axis: LinearAxis, stride: int) -> Complexes:
+    """One over the impedance, on each `stride`-th frequency of the sweep."""
+    moving = NOTHING._replace(
+        inertia_nm_s2_per_rev=axis.inertia_nm_s2_per_rev,
+        elastic=axis.elastic,
+        measured=axis.measured,
+        estimator=axis.estimator,
+    )
+    s = 1j * sweep_rad_per_s(axis.estimator)[::stride]
+    moved = _on_sweep(moved_nm_per_rps, moving, stride)
+    return np.asarray(1.0 / (moved + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s))
+
+
+@functools.lru_cache(maxsize=32)  # likewise; loads, resonances, dampings and contacts have most of it in common
+def _on_sweep(response: Callable[[LinearAxis, Complexes], Complexes], axis: LinearAxis, stride: int) -> Complexes:
+    """A response of an axis on each `stride`-th frequency of its sweep. Read only."""
+    found = response(axis, 1j * sweep_rad_per_s(axis.estimator)[::stride])
+    found.setflags(write=False)
+    return found
+
+
 def sweep_rad_per_s(estimator: VelocityEstimatorConfig | None = None) -> Floats:
     """Frequencies (SWEEP_POINTS,) in rad/s; a sampled filter has no response beyond half its rate. Read only."""
     return _sweep_rad_per_s(SWEEP_HIGH_HZ if estimator is None else 0.5 / estimator.period_s)
@@ -280,21 +312,35 @@ def _sweep_rad_per_s(highest_hz: float) -> Floats:
 def margins_of(omega: Floats, rational: Complexes, delay_s: float) -> Margins:
     """Margins of an open loop over angular frequencies, arrays (n,), with an additional delay."""
     magnitude = np.abs(rational)
-    phase = np.unwrap(np.angle(rational))
+    phase = _unwrapped(rational)
     if phase[0] > 0.75 * math.pi:  # two integrators and a lag begin below -180 degrees, not below +180
         phase -= 2.0 * math.pi
     return _crossings(omega, magnitude, phase - omega * delay_s)
+
+
+def _unwrapped(values: Complexes) -> Floats:
+    """Phase (n,) without jumps, as of numpy.unwrap, which takes the remainder of every step, not of the jumps alone."""
+    phase: Floats = np.asarray(np.angle(values), dtype=np.float64)
+    steps = np.diff(phase)
+    jumps = np.flatnonzero(np.abs(steps) > math.pi)
+    if jumps.size:
+        around = np.mod(steps[jumps] + math.pi, 2.0 * math.pi) - math.pi
+        around[(around == -math.pi) & (steps[jumps] > 0.0)] = math.pi  # half a turn up stays one
+        turns = np.zeros_like(steps)
+        turns[jumps] = around - steps[jumps]
+        phase[1:] += np.cumsum(turns)
+    return phase
 
 
 def _crossings(omega: Floats, magnitude: Floats, phase: Floats) -> Margins:
     """Margins of an open loop, arrays (n,); phase in radians, from where the loop begins down without a jump."""
     phase_deg = np.degrees(phase)
     below = np.flatnonzero((magnitude[:-1] >= 1.0) & (magnitude[1:] < 1.0))
-    phase_margin_deg = min((180.0 + float(phase_deg[i]) for i in below), default=math.inf)
+    phase_margin_deg = 180.0 + float(phase_deg[below].min()) if below.size else math.inf
     # the gain margin counts downward crossings of -180 degrees, and of each turn below, where more gain encircles -1
     turns = np.ceil((phase_deg + 180.0) / 360.0)
     beyond = np.flatnonzero((turns[1:] < turns[:-1]) & (turns[1:] <= 0.0))
-    gain_margin = min((1.0 / float(magnitude[i]) for i in beyond), default=math.inf)
+    gain_margin = 1.0 / float(magnitude[beyond].max()) if beyond.size else math.inf
     crossover_hz = float(omega[below[-1]] / (2.0 * math.pi)) if below.size else math.nan
     return Margins(phase_margin_deg, gain_margin, crossover_hz)
 
@@ -377,33 +423,36 @@ def stick_slip_rps(
     Where the Stribeck curve falls, friction has negative damping. By (3) it follows its level over the travel S/B, so
     that linearised dF = S'(w) dw / (1 + s S/(B w)). An estimator of the velocity counts as its delay alone.
     """
-    speeds_rps = (friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS).tolist()
-    loads = over_loads(axis)
-    found = [
-        speed_rps for speed_rps in speeds_rps if not all(_slides(one, friction, gains, speed_rps) for one in loads)
-    ]
+    speeds_rps = friction.stribeck_velocity_rps * STICK_SLIP_SPEEDS
+    slides = [_slides(one, friction, gains, speeds_rps.tolist()) for one in over_loads(axis)]
+    found = speeds_rps[~np.all(slides, axis=0)].tolist()
     return (found[0], found[-1]) if found else None
 
 
-def _slides(axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, float, float], speed_rps: float) -> bool:
-    """Whether the loop is stable at a speed: Mikhailov's criterion, by the phase of the characteristic function beside
-    that of the same loop without delay on friction that rises, which is passive.
+def _slides(
+    axis: LinearAxis, friction: FrictionConfig, gains: tuple[float, float, float], speeds_rps: Sequence[float]
+) -> list[bool]:
+    """Whether the loop is stable at each speed: Mikhailov's criterion, by the phase of the characteristic function
+    beside that of the same loop without delay on friction that rises, which is passive.
     """
     proportional_a_per_rps, integral_a_per_rev, observer_nm_per_rev = gains
     omega = sweep_rad_per_s()
     s, kt = 1j * omega, axis.torque_constant_nm_per_a
-    before_nm, level_nm, after_nm = (
-        steady_friction_nm(friction, share * speed_rps) for share in (1.0 - SLOPE_STEP, 1.0, 1.0 + SLOPE_STEP)
-    )
-    slope = (after_nm - before_nm) / (2.0 * SLOPE_STEP * speed_rps) - friction.viscous_nm_per_rps
-    follows = 1.0 + s * level_nm / (friction.attraction_nm_per_rev * speed_rps)
     plant = s * impedance_nm_per_rps(axis, s)
     controller = s * proportional_a_per_rps * kt + integral_a_per_rev * kt + observer_nm_per_rev
     controller = controller * error_response(axis, s)
-    loop = follows * (plant + controller * np.exp(-s * axis.delay_s)) + s * slope
-    passive = follows * (plant + controller) + s * abs(slope)
-    turned, most = (float(np.subtract(*np.unwrap(np.angle(values))[[-1, 0]])) for values in (loop, passive))
-    return turned > most - 0.5 * math.pi  # each unstable pole takes half a turn
+    with_delay, without = plant + controller * np.exp(-s * axis.delay_s), plant + controller
+    found = []
+    for speed_rps in speeds_rps:
+        before_nm, level_nm, after_nm = (
+            steady_friction_nm(friction, share * speed_rps) for share in (1.0 - SLOPE_STEP, 1.0, 1.0 + SLOPE_STEP)
+        )
+        slope = (after_nm - before_nm) / (2.0 * SLOPE_STEP * speed_rps) - friction.viscous_nm_per_rps
+        follows = 1.0 + s * level_nm / (friction.attraction_nm_per_rev * speed_rps)
+        loop, passive = follows * with_delay + s * slope, follows * without + s * abs(slope)
+        turned, most = (float(np.subtract(*_unwrapped(values)[[-1, 0]])) for values in (loop, passive))
+        found.append(turned > most - 0.5 * math.pi)  # each unstable pole takes half a turn
+    return found
 
 
 def worst_margins(found: Iterable[Margins]) -> Margins:

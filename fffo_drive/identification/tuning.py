@@ -203,7 +203,7 @@ def notches_for(axis: LinearAxis, wish: Wish) -> tuple[Notch, ...]:
         if notch is None:
             break
         before, notches = action, (*notches, notch)
-        loops = [loop.behind(notches) for loop in loops]
+        loops = tuple(loop.behind(notches) for loop in loops)
     return tuple(_written(notch) for notch in notches)
 
 
@@ -460,16 +460,17 @@ def dampings_around(axis: LinearAxis, gains: Gains, count: int) -> Floats:
 def margin_range(axis: LinearAxis, gains: Gains, wish: Wish) -> DampingRange:
     """Damping, within `dampings_around`, over which the margins hold without interruption."""
     dampings = dampings_around(axis, gains, 61)
-    held = []
-    for damping in dampings:
-        margins = loop_margins(axis._replace(damping_nm_per_rps=float(damping)), *gains.in_motion)
-        held.append(margins.phase_deg >= wish.phase_margin_deg - 1e-9 and margins.gain >= wish.gain_margin - 1e-9)
+
+    def held(place: int) -> bool:
+        margins = loop_margins(axis._replace(damping_nm_per_rps=float(dampings[place])), *gains.in_motion)
+        return margins.phase_deg >= wish.phase_margin_deg - 1e-9 and margins.gain >= wish.gain_margin - 1e-9
+
     low = high = 20  # the axis' own
-    if not held[low]:
+    if not held(low):
         return DampingRange(axis.damping_nm_per_rps, axis.damping_nm_per_rps)
-    while low > 0 and held[low - 1]:
+    while low > 0 and held(low - 1):
         low -= 1
-    while high < dampings.size - 1 and held[high + 1]:
+    while high < dampings.size - 1 and held(high + 1):
         high += 1
     return DampingRange(float(dampings[low]), float(dampings[high]))
 

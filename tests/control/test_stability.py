@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fffo_drive.control.stability import (
     ElasticLoad,
     LinearAxis,
+    _unwrapped,
     condition_14_nm_per_rev,
     impedance_nm_per_rps,
     loop_delay_s,
@@ -201,3 +202,11 @@ def test_a_range_includes_the_model_and_counts_for_stick_slip():
     own, largest = (stick_slip_rps(axis.with_inertia(inertia), friction, gains) for inertia in (2e-4, 5e-3))
     assert own is None
     assert stick_slip_rps(axis, friction, gains) == largest is not None
+
+
+@given(st.lists(st.floats(-2.0 * math.pi, 2.0 * math.pi) | st.sampled_from([0.0, math.pi, -math.pi]), min_size=2))
+def test_the_phase_without_jumps_is_that_of_numpy_to_the_bit(steps):
+    values = np.exp(1j * np.cumsum(steps))
+    np.testing.assert_array_equal(_unwrapped(values), np.unwrap(np.angle(values)))
+    real = np.where(np.array(steps) > 0.0, 1.0 + 0.0j, -1.0 + 0.0j)  # steps of half a turn, either way
+    np.testing.assert_array_equal(_unwrapped(real), np.unwrap(np.angle(real)))
