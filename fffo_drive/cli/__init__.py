@@ -91,6 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if command in COMMANDS:
         # numpy is not loaded yet; work is shared out by threads here
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        # files are checked by their own rules alone, and no installed package is searched for others
+        os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
         try:
             module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
             return int(module.execute(parser_of(command).parse_args(words[words.index(command) + 1 :])))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from .. import formats
-from ..commissioning.record import ResponseRecord
 from ..control import envelope as env
 from ..control.adaptation import NO_ADAPTATION, AdaptationConfig
 from ..control.controller import ControllerConfig, RestConfig
@@ -69,6 +68,9 @@ from .sections import (
     length_problems,
     notch_problem,
 )
+
+if TYPE_CHECKING:
+    from ..commissioning.record import ResponseRecord
 
 BLIND_S = 2e-3  # tolerated without velocity feedback where the file does not say: 4 ticks at 2 kHz
 STOP_S = 2.0  # how long a drive may take to let go of its torque

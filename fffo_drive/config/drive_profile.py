@@ -12,17 +12,18 @@ import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, create_model
 
 from .. import formats
 from ..documents import DocumentError, StrictRecord, load, refuse
 from ..system.service_files import sources
-from .drive_proposal import section_lines
 from .drive_section import CanopenDriveSection, merged
-from .eds_fitness import Fitness
 from .names import is_file_name
+
+if TYPE_CHECKING:
+    from .eds_fitness import Fitness
 
 OF_ONE_AXIS = frozenset({
     "kind", "bus", "bitrate_hz", "node_id", "master_id", "profile", "eds", "inverted", "rated_torque_nm",
@@ -146,6 +147,8 @@ def with_profile(data: Any, axis_path: Path) -> Any:
 
 def profile_text(family: str, device: Any, fitness: Fitness) -> str:
     """A profile file from an EDS (`device`: its DeviceInfo), without what belongs to a single axis."""
+    from .drive_proposal import section_lines  # of no axis file that is only read
+
     shared = fitness.proposal._replace(
         section={key: value for key, value in fitness.section.items() if key not in OF_ONE_AXIS | OF_THE_MOTOR}
     )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..commissioning.record import ResponseRecord, read_record
 from ..control.stability import (
     RIGID,
     ElasticLoad,
@@ -18,12 +18,19 @@ from ..control.stability import (
 )
 from ..model.parameters import ModelFile
 
+if TYPE_CHECKING:
+    from ..commissioning.record import ResponseRecord
+
 LEAST_COHERENCE = 0.8  # below, a point is noise
 
 
 def response_in(file: Path) -> ResponseRecord | None:
     """The response in a record; None where there is no record, or it has none. Raises DocumentError."""
-    return read_record(file).response if file.exists() else None
+    if not file.exists():
+        return None
+    from ..commissioning.record import read_record
+
+    return read_record(file).response
 
 
 def with_response(axis: LinearAxis, model: ModelFile, response: ResponseRecord) -> LinearAxis:

@@ -16,7 +16,6 @@ from ..config.axis import (
     read_axis,
 )
 from ..config.checks import bus_problems, law_problems, motion_problems, profile_problems, require, velocity_problems
-from ..config.commissioning import Permission, require_identity
 from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, effect_problems
@@ -32,6 +31,7 @@ from ..recording.settings import RunHeader
 from ..units import NS_PER_S
 
 if TYPE_CHECKING:
+    from ..config.commissioning import Permission
     from ..runtime.effect_monitor import EffectMonitor
     from ..runtime.session import SessionConfig
 
@@ -165,6 +165,8 @@ def effect_monitor(plan: Plan) -> EffectMonitor | None:
 
 def connect(drive: Drive, given: Permission) -> DriveIdentity:
     """Bring a drive up that is to be enabled. Raises DriveError, also when it is not the one that was commissioned."""
+    from ..config.commissioning import require_identity
+
     identity = drive.connect()
     try:
         require_identity(given, identity)
