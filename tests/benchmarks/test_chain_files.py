@@ -108,6 +108,8 @@ def test_the_chain_in_one_process_writes_what_the_typed_commands_write(
     chain_files, plant, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(commission, "datetime", OneMoment)
+    short = {name: profile | {"duration_s": 12} for name, profile in chain_files.PROFILES.items()}
+    monkeypatch.setattr(chain_files, "PROFILES", short)
     (tmp_path / "made").mkdir()
     (tmp_path / "typed").mkdir()
     made, typed = chain_files.Chain(tmp_path / "made"), chain_files.Chain(tmp_path / "typed")
