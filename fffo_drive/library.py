@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .config.axis import TOGGLES, AxisFile, default_axis, hold_dead_band_rev, loop_axis, model_of
+from .config.axis import TOGGLES, AxisFile, default_axis, model_of
 from .config.axis import read_axis as read_axis_file
-from .config.commissioning import NOT_COMMISSIONED, commissioned, permission
+from .config.commissioning import commissioned, permission
 from .config.scenario import read_scenario, yardstick_of
 from .control.reference import MODE_VELOCITY
 from .daemon.serving import torque_on
@@ -368,18 +368,17 @@ def tune(
 ) -> Tuned:  # fmt: skip
     """Choose the gains with the largest integral action within the margins (deg, factor).
 
-    `bandwidth_hz`: target crossover frequency. `axis`: take the loop rate, the source of the velocity and the delay in
-    the commissioning record from this axis; None: `rate_hz` and the drive's velocity. `inertia_range_kg_m2`: least and
-    largest inertia with all loads, at the motor shaft, motor included (kg of a linear axis), over which the margins
+    `bandwidth_hz`: target crossover frequency. `axis`: take the loop rate, the source of the velocity and what its
+    commissioning record holds from this axis; None: `rate_hz` and the drive's velocity. `inertia_range_kg_m2`: least
+    and largest inertia with all loads, at the motor shaft, motor included (kg of a linear axis), over which the margins
     hold; None: the axis file's, or the model's inertia alone. Raises DocumentError.
     """
     tuning.require_positive(rate_hz=rate_hz)
     given = None if inertia_range_kg_m2 is None else range_of(model, *inertia_range_kg_m2)
-    file = None if axis is None else with_range(axis.file, given)
-    linear = default_axis(model, 1.0 / rate_hz, given) if file is None else loop_axis(file, model)
-    measured = NOT_COMMISSIONED if axis is None else commissioned(axis.path, axis.file)
     wish = Wish(bandwidth_hz, Wish().damping_ratio, phase_margin_deg, gain_margin)
-    return tuning.tune(model, linear, wish, measured, hold_dead_band_rev(file))
+    if axis is None:
+        return tuning.tune(model, default_axis(model, 1.0 / rate_hz, given), wish)
+    return tuning.tune_axis(with_range(axis.file, given), model, wish, commissioned(axis.path, axis.file))[0]
 
 
 def diagnose(

@@ -13,11 +13,12 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
-from ..config.axis import AxisFile, default_axis, hold_dead_band_rev, loop_axis, read_axis
+from ..config.axis import AxisFile, default_axis, read_axis
 from ..config.commissioning import NOT_COMMISSIONED, commissioned
 from ..config.runaway import fewer_ticks
-from ..config.sections import ControllerSection
+from ..config.sections import ControllerSection, VelocitySource
 from ..documents import DocumentError
 from ..identification.tuning import Wish, notch_text
 from ..model.parameters import ModelFile, read_model
@@ -30,7 +31,7 @@ from ..workflows.tune import (
     require_positive,
     section_text,
     tune,
-    worth_of_estimate,
+    tune_axis,
     write_tuned_axis,
 )
 
@@ -77,6 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "axis: kg): all margins hold over it (default: the axis file's; without one it is asked for at a terminal)",
     )
     parser.add_argument(
+        "--velocity",
+        choices=get_args(VelocitySource),
+        help="velocity that the error takes, with --axis (default: the axis file's; in place of the drive's the "
+        "estimated one where, with the noise that `commission` measured, it gains)",
+    )
+    parser.add_argument(
         "--rate-hz", type=float, default=2000.0, metavar="HZ", help="rate of the loop, without --axis (%(default)s)"
     )
     parser.add_argument(
@@ -105,18 +112,21 @@ def _margin(key: str) -> Callable[[str], float]:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    if options.velocity and not options.axis:
+        raise DocumentError("--velocity: only an axis file says what the loop can have: give --axis")
     require_positive(rate_hz=options.rate_hz, current_limit_a=options.current_limit_a)
     model = read_model(options.model)
     axis_file = read_axis(options.axis) if options.axis else None
     inertia_range = _inertia_range(options, model, axis_file)
     axis_file = with_range(axis_file, inertia_range) if axis_file else None
     period_s = axis_file.loop.period_s if axis_file else 1.0 / options.rate_hz
-    axis = loop_axis(axis_file, model) if axis_file else default_axis(model, period_s, inertia_range)
     wish = Wish(options.bandwidth_hz, options.damping_ratio, options.phase_margin_deg, options.gain_margin)
     measured = commissioned(options.axis, axis_file) if axis_file else NOT_COMMISSIONED
-    tuned = tune(model, axis, wish, measured, hold_dead_band_rev(axis_file))
+    if axis_file:
+        tuned, more = tune_axis(axis_file, model, wish, measured, options.velocity)
+    else:
+        tuned, more = tune(model, default_axis(model, period_s, inertia_range), wish), None
     found = tuned.design
-    more = worth_of_estimate(axis_file, model, wish, measured, tuned) if axis_file else None
     limit_a = options.current_limit_a or (axis_file.controller.current_limit_a if axis_file else 10.0)
     out = Path(options.out)
     copy = [] if options.axis is None else [Path(options.axis).name]

@@ -43,8 +43,9 @@ from .estimate import (
 from .judge import CHECKS, judged, not_done
 from .motion import PulseMotion, PulseResponse, responses
 from .motion_checks import ROUGH_SCALE, Beliefs, beliefs_of, has_moved
+from .noise import noise_record
 from .objects import NamePlate, ObjectSource, read_name_plate, read_number
-from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts, ResponseRecord
+from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts, NoiseRecord, ResponseRecord
 from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
 from .sweep import Sweeps, response_record
 
@@ -97,6 +98,7 @@ class CommissioningOutcome(NamedTuple):
     identity: DriveIdentity
     checks: list[CheckRecord]
     response: ResponseRecord | None  # to the sweep; None: it was not measured
+    noise: NoiseRecord | None  # in the same motion
 
 
 class _SurpriseError(Exception):
@@ -163,7 +165,7 @@ def commission(
             seen(check, None)
     if declined is not None:
         raise declined
-    return CommissioningOutcome(identity, checks, procedure.response)
+    return CommissioningOutcome(identity, checks, procedure.response, procedure.noise)
 
 
 class _Procedure:
@@ -183,6 +185,7 @@ class _Procedure:
         self.noise_rps = 0.0
         self.gain: GainFit | None = None
         self.response: ResponseRecord | None = None
+        self.noise: NoiseRecord | None = None
 
     def add(self, *checks: CheckRecord) -> None:
         """Keep results, and stop at one that failed."""
@@ -500,7 +503,7 @@ class _Procedure:
         except TimeBoundError:
             refusal = f"the axis has moved for {bounds.time_s:g} s, which is the limit"
         if refusal is None:
-            self.response = response_record(sweeps)
+            self.response, self.noise = response_record(sweeps), noise_record(sweeps)
         self.add(motion_checks.resonance(self.response or str(refusal)))
         if self.response is not None and self.response.elastic is not None:
             # a pulse takes a motor with a load on a spring for another rigid inertia, with another delay

@@ -154,6 +154,14 @@ class ResponseRecord(StrictRecord):
     elastic: Annotated[ElasticRecord | None, Field(description="null: none was found in this band")] = None
 
 
+class NoiseRecord(StrictRecord):
+    """Noise of the feedback in motion: one-sided power spectral densities, each the mean over a band (Welch)."""
+
+    frequency_hz: Annotated[list[float], Field(min_length=2, description="centres of the bands, rising")]
+    position_rev2_per_hz: Annotated[list[float], Field(description="of the position, its counts included")]
+    velocity_rps2_per_hz: Annotated[list[float], Field(description="of the drive's velocity")]
+
+
 class CommissioningRecord(StrictRecord):
     """What `fffo-drive commission` writes and `fffo-drive run` asks for."""
 
@@ -175,15 +183,16 @@ class CommissioningRecord(StrictRecord):
     ]
     checks: Annotated[list[CheckRecord], Field(description="what was checked")]
     response: Annotated[ResponseRecord | None, Field(description="to the sweep; null: it was not measured")] = None
+    noise: Annotated[NoiseRecord | None, Field(description="in motion; null: it was not measured")] = None
     content_hash: Annotated[
         str | None, Field(description="SHA-256 of all else, written by the program; without it a file is refused")
     ] = None
 
     @model_serializer(mode="wrap")
     def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Records without a response keep their hash."""
+        """Records without a response or noise keep their hash."""
         found: dict[str, Any] = dump(self)
-        return {key: value for key, value in found.items() if key != "response" or value is not None}
+        return {key: value for key, value in found.items() if key not in ("response", "noise") or value is not None}
 
     @property
     def passed(self) -> bool:

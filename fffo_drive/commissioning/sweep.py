@@ -168,15 +168,18 @@ class Sweeps:
         current_a = [rest, np.full(half, start_a), sign * np.tile(once, sweeps) + slide_a, np.full(half, stop_a), rest]
         return Profile("sweep", MODE_VELOCITY, period_s, np.concatenate(velocity_rps), np.concatenate(current_a))
 
-    def _swept(self, motion: PulseMotion, sweeps: int) -> tuple[Floats, Floats]:
-        """Command and velocity at each tick of the sweeps.
+    def _swept(self, motion: PulseMotion, sweeps: int) -> tuple[Floats, Floats, Floats]:
+        """Command, velocity and position at each tick of the sweeps.
 
-        Rows without fresh feedback are missing: a command is held over them, a velocity lies between.
+        Rows without fresh feedback are missing: a command is held over them, velocity and position lie between.
         """
         running = motion.part(motion.sample >= 0)
         samples = self._samples(sweeps)
         held = np.searchsorted(running.sample, samples, side="right") - 1
-        return running.command_a[held], np.interp(samples, running.sample, running.velocity_rps)
+        velocity_rps, position_rev = (
+            np.interp(samples, running.sample, values) for values in (running.velocity_rps, running.position_rev)
+        )
+        return running.command_a[held], velocity_rps, position_rev
 
     def _samples(self, sweeps: int) -> Integers:
         """Those of a profile in which it has so many sweeps."""
@@ -197,7 +200,7 @@ class Sweeps:
 
     def _corrected(self, motion: PulseMotion) -> tuple[float, float]:
         """Correct the swing after a motion. Its speed after a kick and before the next, over what it should be."""
-        command_a, velocity_rps = self._swept(motion, 2 * PAIRS if self._slides else 1)
+        command_a, velocity_rps, _ = self._swept(motion, 2 * PAIRS if self._slides else 1)
         side, since = self._half_periods(np.arange(float(command_a.size)) * self.period_s - self.delay_s)
         third = (1.0 - KICK_SHARE) / 3.0
         along_rps, swing = side * velocity_rps, self.swing
@@ -222,8 +225,17 @@ class Sweeps:
         """The response, from the last pair of every run."""
         samples = 2 * round(SWEEP_S / self.period_s)
         pairs = [[values[-samples:] for values in self._swept(motion, 2 * PAIRS)] for motion in self.measured]
-        current_a, velocity_rps = (np.array(values) for values in zip(*pairs, strict=True))
+        current_a, velocity_rps, _ = (np.array(values) for values in zip(*pairs, strict=True))
         return sweep_lines(current_a, velocity_rps, self.period_s, SWEEP_S, self.band_hz)
+
+    def repeated(self) -> tuple[Floats, Floats]:
+        """Position and velocity without the sweep, which a pair adds up to nothing; (runs, pairs, samples) each.
+
+        In all pairs of a run the axis makes the same motion.
+        """
+        made = np.array([self._swept(motion, 2 * PAIRS)[1:] for motion in self.measured])
+        velocity_rps, position_rev = made.reshape(RUNS, 2, PAIRS, 2, -1).sum(axis=3).swapaxes(0, 1) / math.sqrt(2.0)
+        return position_rev, velocity_rps
 
 
 def response_record(sweeps: Sweeps) -> ResponseRecord:

@@ -14,6 +14,7 @@ from ..commissioning.record import (
     CheckRecord,
     CommissioningRecord,
     DeclaredFacts,
+    NoiseRecord,
     ResponseRecord,
     fact_differences,
     identity_differences,
@@ -103,6 +104,7 @@ class Commissioned(NamedTuple):
     delay_s: float | None = None  # command to measured velocity, without the hold
     unexplained_share: float = 0.0  # of the velocity variance, by a single rigid inertia; 0 where it was no warning
     response: ResponseRecord | None = None  # to the sweep
+    noise: NoiseRecord | None = None  # of position and velocity in motion
 
 
 NOT_COMMISSIONED = Commissioned()
@@ -116,7 +118,7 @@ def commissioned(path: str | Path, axis: AxisFile) -> Commissioned:
     if axis.commissioning is None or not (file := beside(path, axis.commissioning)).exists():
         return NOT_COMMISSIONED
     record = read_record(file)
-    return commissioned_in(record.checks)._replace(response=record.response)
+    return commissioned_in(record.checks)._replace(response=record.response, noise=record.noise)
 
 
 def commissioned_in(checks: Iterable[CheckRecord]) -> Commissioned:

@@ -128,11 +128,14 @@ class NotchSection(StrictRecord):
     ] = 0.1
 
 
+VelocitySource = Literal["drive", "estimated"]
+
+
 class VelocitySection(StrictRecord):
     """The velocity from which the error is computed."""
 
     source: Annotated[
-        Literal["drive", "estimated"],
+        VelocitySource,
         Field(
             description="drive: measured by the drive; estimated: from position and torque, without the lag of the "
             "drive's tracking loop. The row and the envelope always use the drive's velocity"

@@ -45,7 +45,7 @@ class TuneSource(NamedTuple):
     section: str  # the controller section, as YAML
     written: Sequence[Path]  # files, the axis file last where there is one
     commands: Sequence[str]
-    on_the_estimate: EstimateWorth | None = None  # None: no gain, or in use
+    on_the_estimate: EstimateWorth | None = None  # None: not possible, or decided already
 
 
 def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> Report:
@@ -131,13 +131,32 @@ def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
 
 
 def estimate_text(worth: EstimateWorth) -> str:
-    """What the estimated velocity would gain, for the page and the terminal."""
+    """What the estimated velocity gains, or would gain, for the page and the terminal."""
     more, left = significant(worth.integral_ratio, 2), significant(100.0 * worth.error_ratio, 2)
+    step = significant(worth.step_a, 2)
+    allowed = f"the same margins allow {more} times the integral action Ki Kt + L"
+    if worth.drive_step_a is None:
+        if not worth.gains:
+            return f"a velocity estimated from position and torque would gain little: {allowed}"
+        return (
+            f"with the velocity estimated from position and torque {allowed}, which leaves {left} % of the squared "
+            "error that friction outside the model makes. Whether its noise is worth that, no record of this axis "
+            f"says (by the counts of the position alone, steps of {step} A rms in the command): run `fffo-drive "
+            "commission`, and `tune` decides; or tune with --velocity estimated"
+        )
+    squared = f"{left} % of the squared error that friction outside the model and the measured noise make"
+    steps = (
+        f"noise makes steps of {step} A rms in the command, with the drive's velocity "
+        f"{significant(worth.drive_step_a, 2)} A"
+    )
+    if not worth.gains:
+        return (
+            "the error takes the drive's velocity: one estimated from position and torque would leave "
+            f"{squared}; {steps}. To take it all the same, tune with --velocity estimated"
+        )
     return (
-        f"with `controller.velocity: {{source: estimated}}` the same margins allow {more} times the integral action "
-        f"Ki Kt + L, which leaves {left} % of the squared error that friction outside the model makes. The resolution "
-        f"of the position alone then makes steps of {significant(worth.step_a, 2)} A rms in the command, and sensor "
-        "noise adds to them. To use the estimate, set this key in the axis file and tune again"
+        f"the error takes the velocity estimated from position and torque: {allowed}, which leaves {squared}; {steps}. "
+        "To stay with the drive's, tune with --velocity drive"
     )
 
 

@@ -90,6 +90,7 @@ def commission_axis(
         verdict=overall(outcome.checks),
         checks=outcome.checks,
         response=outcome.response,
+        noise=outcome.noise,
     )
     return write_record(out, record)
 

@@ -15,10 +15,16 @@ from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
-from ..config.sections import NotchSection, best_law
+from ..config.sections import NotchSection, VelocitySection, VelocitySource, best_law
 from ..control.stability import RIGID, LinearAxis, linear_axis, loop_margins, stick_slip_rps, stuck_axes
 from ..documents import DocumentError, parse, read_text, up_to_date
-from ..identification.estimate_gain import EstimateWorth, squared_error_of_a_step, step_of_command_a
+from ..identification.estimate_gain import (
+    EstimateWorth,
+    Noise,
+    noise_in_loop,
+    squared_error_of_a_step,
+    white_position,
+)
 from ..identification.tuning import (
     Design,
     Gains,
@@ -38,7 +44,8 @@ LOCUS_POINTS = 61
 STEP_S = 0.4
 ROUNDING = 1e-6  # of margins
 SAME_RESONANCE, SAME_SHARE = 0.1, 0.1  # of the frequency, and of the inertia: by which two measurements may differ
-WORTH_ERROR_RATIO = 0.8  # of squared errors: above it, noise decides, which is not known here
+FRICTION_ERROR_SHARE = 0.1  # of Coulomb friction: by which a model is wrong, as in all tables
+REVERSALS_PER_S = 2.0  # at each of which that friction steps, against the noise that is always there
 NARROWER = (0.75, 0.5, 0.25, 0.0)  # of a range without gains, on a logarithmic scale: tried for a refusal
 
 
@@ -48,6 +55,7 @@ class Tuned(NamedTuple):
     axis: LinearAxis
     design: Design
     by_notches: float | None = None  # times the integral action that the same margins allow without; None: no notch
+    velocity: VelocitySection = VelocitySection()  # that the error takes
 
     def __repr__(self) -> str:
         gains, margins = self.design.gains, self.design.margins_observer
@@ -59,7 +67,7 @@ class Tuned(NamedTuple):
 
     def section(self, current_limit_a: float) -> dict[str, Any]:
         """The `controller:` section of an axis file: the gains, and the best law that is known, whole."""
-        return controller_section(self.design, self.axis, current_limit_a)
+        return controller_section(self.design, self.axis, current_limit_a, self.velocity)
 
     def summary(self) -> dict[str, Any]:
         """Gains, margins, root locus and step, JSON-ready."""
@@ -165,26 +173,46 @@ def needs_diagnosis(model: ModelFile, commissioned: Commissioned) -> bool:
     return commissioned.unexplained_share > 0.0 and not model.effects and not swings
 
 
-def worth_of_estimate(
-    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned, found: Tuned
-) -> EstimateWorth | None:
-    """What the estimated velocity would gain over a tuning, at the same margins.
+def tune_axis(
+    axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned, source: VelocitySource | None = None
+) -> tuple[Tuned, EstimateWorth | None]:
+    """Gains for an axis file, and what the estimated velocity is worth to it.
 
-    None where the file has the estimate already; where the loop cannot have it; where by its delay alone what friction
-    outside the model leaves would not be clearly less, as behind a fast sensor; and where a part of the inertia swings
-    or the axis is known to be unlike the model: the estimate believes in one rigid inertia.
+    `source`: of the velocity in the error, as `controller.velocity.source`. None: the file's own; but in place of
+    the drive's the estimate, where with the noise that commissioning measured it gains. Its worth is None where it is
+    asked for or in use already; where the loop cannot have it; and where a part of the inertia swings or the axis is
+    known to be unlike the model: the estimate believes in one rigid inertia. Raises DocumentError if no gains have the
+    required margins.
     """
-    controller = axis_file.controller
-    if controller.velocity.estimated or found.axis.elastic != RIGID or needs_diagnosis(model, commissioned):
-        return None
-    velocity = controller.velocity.model_copy(update={"source": "estimated"})
-    estimated = controller.model_copy(update={"velocity": velocity})
-    other = axis_file.model_copy(update={"controller": estimated})
+    if source is not None:
+        axis_file = with_velocity(axis_file, source)
+    own = tune(model, loop_axis(axis_file, model), wish, commissioned, hold_dead_band_rev(axis_file))
+    own = own._replace(velocity=axis_file.controller.velocity)
+    chosen = source is not None or own.velocity.estimated
+    if chosen or own.axis.elastic != RIGID or needs_diagnosis(model, commissioned):
+        return own, None
+    other = _on_the_estimate(axis_file, model, wish, commissioned)
+    if other is None:
+        return own, None
+    worth = _worth(axis_file, model, commissioned, own, other)
+    return (other if worth.gains and worth.drive_step_a is not None else own), worth
+
+
+def with_velocity(axis_file: AxisFile, source: VelocitySource) -> AxisFile:
+    """The axis file with another source of the velocity in the error."""
+    velocity = axis_file.controller.velocity.model_copy(update={"source": source})
+    controller = axis_file.controller.model_copy(update={"velocity": velocity})
+    return axis_file.model_copy(update={"controller": controller})
+
+
+def _on_the_estimate(axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned) -> Tuned | None:
+    """The tuning on the estimated velocity; None where the axis cannot have it."""
+    other = with_velocity(axis_file, "estimated")
+    estimated = other.controller
     if velocity_problems(other, model):
         return None
-    dead_band_rev = hold_dead_band_rev(axis_file)
     try:
-        tuned = tune(model, loop_axis(other, model), wish, commissioned, dead_band_rev)
+        tuned = tune(model, loop_axis(other, model), wish, commissioned, hold_dead_band_rev(axis_file))
     except DocumentError:
         return None
     gains = tuned.design.gains
@@ -202,14 +230,36 @@ def worth_of_estimate(
     other = other.model_copy(update={"controller": estimated})
     if velocity_problems(other, model) or fallback_problems(other, model, observer_on=True):
         return None
-    kt = model.torque_constant_nm_per_a
-    own = found.design.gains
-    worth = EstimateWorth(
-        gains.integral_action_nm_per_rev(kt) / own.integral_action_nm_per_rev(kt),
-        squared_error_of_a_step(tuned.axis, gains) / squared_error_of_a_step(found.axis, own),
-        step_of_command_a(tuned.axis, gains, dead_band_rev / math.sqrt(12.0)),
-    )
-    return worth if worth.error_ratio <= WORTH_ERROR_RATIO else None
+    return tuned._replace(velocity=estimated.velocity)
+
+
+def _worth(
+    axis_file: AxisFile, model: ModelFile, commissioned: Commissioned, own: Tuned, other: Tuned
+) -> EstimateWorth:
+    """What the estimate gains: of what friction outside the model leaves, and of the sensor's noise where known."""
+    kt, period_s = model.torque_constant_nm_per_a, axis_file.loop.period_s
+    both = (own, other)
+    squared = [squared_error_of_a_step(one.axis, one.design.gains) for one in both]
+    counts = white_position(hold_dead_band_rev(axis_file) / math.sqrt(12.0), period_s)
+    step_a = noise_in_loop(other.axis, other.design.gains, counts, period_s).step_a
+    drive_step_a = None
+    if commissioned.noise is not None:
+        measured = commissioned.noise
+        frequency_hz = np.array(measured.frequency_hz)
+        noises = (
+            Noise(frequency_hz, np.array(measured.velocity_rps2_per_hz)),
+            Noise(frequency_hz, np.array(measured.position_rev2_per_hz), of_position=True),
+        )
+        in_loop = [
+            noise_in_loop(one.axis, one.design.gains, noise, period_s) for one, noise in zip(both, noises, strict=True)
+        ]
+        drive_step_a, step_a = (one.step_a for one in in_loop)
+        step_nm = 2.0 * FRICTION_ERROR_SHARE * model.friction.coulomb_nm.value
+        squared = [
+            REVERSALS_PER_S * step_nm**2 * one + noise.shaft_rps2 for one, noise in zip(squared, in_loop, strict=True)
+        ]
+    actions = [one.design.gains.integral_action_nm_per_rev(kt) for one in both]
+    return EstimateWorth(actions[1] / actions[0], squared[1] / squared[0], step_a, drive_step_a)
 
 
 def undetermined(model: ModelFile) -> list[str]:
@@ -239,7 +289,9 @@ def require_positive(**given: float | None) -> None:
             raise DocumentError(f"{name}: {value:g}: a number above 0 is needed")
 
 
-def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) -> dict[str, Any]:
+def controller_section(
+    found: Design, axis: LinearAxis, current_limit_a: float, velocity: VelocitySection
+) -> dict[str, Any]:
     """The `controller:` section of an axis file: all that a file of the axis needs to have the best law.
 
     Every part is said, also where it is the default: what a file says, no later default changes.
@@ -249,6 +301,7 @@ def controller_section(found: Design, axis: LinearAxis, current_limit_a: float) 
         "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
         "error_filter_s": axis.error_filter_s,
+        "velocity": velocity.model_dump(),
         "notches": [notch._asdict() for notch in axis.notches],
         "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
         "at_rest": {

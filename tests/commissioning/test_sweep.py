@@ -118,6 +118,20 @@ def test_the_default_axis_has_none(rigid):
     assert response.elastic is None
 
 
+def test_the_noise_of_a_moving_position_is_that_of_its_counts_and_the_record_keeps_it(tmp_path):
+    """Counts of a moving shaft are white noise of their variance, 1/12; at rest one of them may stay for ever."""
+    coarse = replace(PLANT.resolver, bits=12, noise_rev=0.0)
+    noise = commission(MisdeclaredDrive(replace(PLANT, resolver=coarse)), SESSION, PLAN.model, FACTS, BOUNDS).noise
+    fast = np.array(noise.frequency_hz) > 100.0
+    variance_rev2 = np.mean(np.array(noise.position_rev2_per_hz)[fast]) * 0.5 / PLANT.sync_period_s
+    assert variance_rev2 == pytest.approx(2.0 ** (-2 * 12) / 12.0, rel=0.25)
+    older = record_for(axis_file(tmp_path, named=False), IDENTITY)
+    assert "noise" not in older.model_dump(mode="json")
+    record = write_record(tmp_path / "record.yaml", older.model_copy(update={"noise": noise}))
+    assert read_record(tmp_path / "record.yaml") == record
+    assert record.noise == noise
+
+
 def test_small_bounds_are_kept_and_what_they_do_not_allow_is_said():
     bounds = BOUNDS._replace(travel_rev=0.3, speed_rps=3.0)
     check, *_ = swept(replace(PLANT, effects=elastic(0.35, 110.0, 0.03)), bounds)

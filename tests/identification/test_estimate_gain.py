@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import fffo_drive as fd
+from fffo_drive.commissioning.record import NoiseRecord
 from fffo_drive.config.axis import loop_axis
 from fffo_drive.config.commissioning import NOT_COMMISSIONED, Commissioned
+from fffo_drive.config.sections import VelocitySource
 from fffo_drive.control.stability import ElasticLoad, LinearAxis, loop_margins
 from fffo_drive.control.velocity_estimator import (
     COMMANDS,
@@ -19,10 +21,16 @@ from fffo_drive.control.velocity_estimator import (
     estimator_config,
     velocity_estimator_step,
 )
-from fffo_drive.identification.estimate_gain import EstimateWorth, squared_error_of_a_step, step_of_command_a
+from fffo_drive.identification.estimate_gain import (
+    WORTH_ERROR_RATIO,
+    Noise,
+    noise_in_loop,
+    squared_error_of_a_step,
+    white_position,
+)
 from fffo_drive.identification.tuning import Gains, Wish
 from fffo_drive.model.parameters import Quantity
-from fffo_drive.workflows.tune import WORTH_ERROR_RATIO, worth_of_estimate
+from fffo_drive.workflows.tune import tune_axis
 
 AXIS = Path(__file__).resolve().parents[2] / "configs" / "axis_simulated.yaml"
 KT, PERIOD_S = 0.148, 5e-4
@@ -73,32 +81,78 @@ def test_the_steps_of_the_command_are_those_of_the_filter_on_white_noise():
         estimate_rps[tick] = terms.estimated_rps
     proportional = 1e-4
     axis = LinearAxis(9.4e-4, 0.003, 0.00225, KT, estimator=config)
-    found = step_of_command_a(axis, Gains(proportional, 0.0, 0.0), noise_rev)
+    found = noise_in_loop(axis, Gains(proportional, 0.0, 0.0), white_position(noise_rev, PERIOD_S), PERIOD_S)
     steps = proportional * np.diff(estimate_rps[200:])
-    assert found == pytest.approx(float(np.sqrt(np.mean(steps**2))), rel=0.05)
+    assert found.step_a == pytest.approx(float(np.sqrt(np.mean(steps**2))), rel=0.05)
 
 
-def worth(tracking_hz: float, damping: float = 0.9, commissioned: Commissioned = NOT_COMMISSIONED):
+@pytest.mark.parametrize("proportional", [0.5, 2.0])
+def test_white_noise_of_the_velocity_moves_an_inertia_as_a_low_pass_does(proportional):
+    """P on J s without delay: bandwidth a = Kp Kt / J; one-sided density S gives the shaft S a / 4."""
+    inertia, density = 9.4e-4, 1e-9
+    axis = LinearAxis(inertia, 0.0, 0.0, KT)
+    noise = Noise(np.array([1.0]), np.array([density]))
+    found = noise_in_loop(axis, Gains(proportional, 0.0, 0.0), noise, 1e-4)
+    assert found.shaft_rps2 == pytest.approx(density * proportional * KT / inertia / 4.0, rel=0.02)
+
+
+def noise_record(position_counts: float = 0.5, velocity_rps: float = 0.01) -> NoiseRecord:
+    """White noise of both words; standard deviations, of a position in counts of 15 bits."""
+    per_hz = 2.0 * PERIOD_S
+    return NoiseRecord(
+        frequency_hz=[40.0, 1000.0],
+        position_rev2_per_hz=[per_hz * (position_counts * 2.0**-15) ** 2] * 2,
+        velocity_rps2_per_hz=[per_hz * velocity_rps**2] * 2,
+    )
+
+
+def worth(tracking_hz: float, commissioned: Commissioned = NOT_COMMISSIONED, source: VelocitySource | None = None):
     """For the simulated axis with a tracking loop of this speed, 2.75 ms from end to end with each."""
     axis = fd.read_axis(AXIS)
-    lag = Quantity(value=damping / (math.pi * tracking_hz))
+    lag = Quantity(value=0.9 / (math.pi * tracking_hz))
     model = axis.model.model_copy(update={"sensor_delay_s": lag, "content_hash": None})
-    tuned = fd.tune(model, axis=fd.library.Axis(axis.path, axis.file, model))
-    return worth_of_estimate(axis.file, model, Wish(), commissioned, tuned)
+    return tune_axis(axis.file, model, Wish(), commissioned, source)
 
 
-def test_the_estimate_is_proposed_behind_a_slow_sensor_only():
-    slow, usual = worth(200.0), worth(400.0)
-    assert isinstance(slow, EstimateWorth)
-    assert slow.error_ratio < usual.error_ratio < WORTH_ERROR_RATIO
+def test_behind_a_slow_sensor_the_estimate_would_gain_and_without_a_record_nobody_takes_it():
+    (kept, slow), (_, usual), (_, fast) = worth(200.0), worth(400.0), worth(1000.0)
+    assert slow.error_ratio < usual.error_ratio < WORTH_ERROR_RATIO < fast.error_ratio
     assert slow.integral_ratio > usual.integral_ratio > 1.0
     assert 0.001 < usual.step_a < 0.1
-    assert worth(1000.0) is None  # it gains a tenth of the integral action
+    assert slow.drive_step_a is None
+    assert kept.velocity.source == "drive"
+
+
+@pytest.mark.parametrize(
+    ("tracking_hz", "noise", "source"),
+    [
+        (400.0, noise_record(), "estimated"),
+        (400.0, noise_record(position_counts=20.0), "drive"),  # the estimate would shake with the position
+        (1000.0, noise_record(velocity_rps=0.0), "drive"),  # by friction alone a fast sensor is as good
+        (1000.0, noise_record(velocity_rps=0.1), "estimated"),  # ... and one that is noisier than its position is not
+    ],
+)
+def test_the_measured_noise_decides(tracking_hz, noise, source):
+    tuned, found = worth(tracking_hz, Commissioned(noise=noise))
+    assert tuned.velocity.source == source
+    assert found.gains is (source == "estimated")
+    section = tuned.section(5.0)
+    assert section["velocity"] == {"source": source, "bandwidth_hz": 200.0}
+
+
+def test_what_the_user_says_decides_before():
+    noisy = Commissioned(noise=noise_record(position_counts=20.0))
+    tuned, found = worth(400.0, noisy, "estimated")
+    assert tuned.velocity.source == "estimated"
+    assert found is None
+    tuned, found = worth(400.0, Commissioned(noise=noise_record()), "drive")
+    assert tuned.velocity.source == "drive"
+    assert found is None
 
 
 def test_it_is_not_proposed_where_the_axis_is_known_to_be_unlike_its_model():
     """The estimate believes a rigid inertia."""
-    assert worth(200.0, commissioned=Commissioned(unexplained_share=0.1)) is None
+    assert worth(200.0, Commissioned(unexplained_share=0.1, noise=noise_record()))[1] is None
 
 
 def test_the_margins_of_the_estimate_are_those_on_an_elastic_axis():

@@ -24,7 +24,7 @@ from common import ROOT
 
 from fffo_drive.cli import main as cli
 from fffo_drive.commissioning.record import FAILED, NOT_DONE, WARNING, CommissioningRecord, read_record
-from fffo_drive.config.axis import hold_dead_band_rev, loop_axis, read_axis
+from fffo_drive.config.axis import read_axis
 from fffo_drive.config.axis_text import replace_file, with_line
 from fffo_drive.config.commissioning import commissioned, permission
 from fffo_drive.documents import DocumentError, parse, read_text
@@ -43,7 +43,7 @@ from fffo_drive.workflows.identify import fitted_model
 from fffo_drive.workflows.plan import make_plan, open_drive
 from fffo_drive.workflows.record import record_run
 from fffo_drive.workflows.recorded_facts import facts_for
-from fffo_drive.workflows.tune import needs_diagnosis, tune, write_tuned_axis
+from fffo_drive.workflows.tune import needs_diagnosis, tune_axis, write_tuned_axis
 
 CONFIGS = ROOT / "configs"
 EXAMPLE = CONFIGS / "axis_simulated.yaml"
@@ -194,8 +194,7 @@ class Chain:
         """As `tune MODEL --axis AXIS --out tuned`, its axis file alone, and its summary. Raises DocumentError."""
         model_path = model_path or self.model()
         axis, model = read_axis(self.axis), read_model(model_path)
-        measured = commissioned(self.axis, axis)
-        found = tune(model, loop_axis(axis, model), Wish(), measured, hold_dead_band_rev(axis))
+        found, _ = tune_axis(axis, model, Wish(), commissioned(self.axis, axis))
         section = found.section(axis.controller.current_limit_a)
         write_tuned_axis(self.axis, _made(self.place / TUNED), section, model_path)
         self.warnings += found.design.warnings

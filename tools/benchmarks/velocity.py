@@ -16,30 +16,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import yaml
-from chain_files import tuned_file
+from chain_files import TUNED, in_this_process, tuned_file
 from common import RESULTS, ROOT, made_by, progress_bar
 
-from fffo_drive.config.axis import AxisFile, loop_axis, read_axis
+from fffo_drive.config.axis import AxisFile, read_axis
 from fffo_drive.config.checks import law_margins, rest_margins
 from fffo_drive.config.scenario import ControllerVariant, Scenario, cases_of, read_scenario
-from fffo_drive.config.sections import VelocitySection
+from fffo_drive.config.sections import VelocitySection, VelocitySource
 from fffo_drive.control.envelope import TRIP_NONE, TRIP_TEXTS
-from fffo_drive.control.stability import LinearAxis
 from fffo_drive.evaluation.campaign import Case, simulate, warm_up
 from fffo_drive.evaluation.compare import MetricComparison, compare_metric
 from fffo_drive.evaluation.measures import measure
 from fffo_drive.evaluation.reversal import FAST_RPS2
 from fffo_drive.evaluation.trace import trace_of
 from fffo_drive.evaluation.workers import over_cores
-from fffo_drive.identification.estimate_gain import squared_error_of_a_step, step_of_command_a
-from fffo_drive.identification.tuning import Gains
+from fffo_drive.identification.estimate_gain import WORTH_ERROR_RATIO, EstimateWorth
 from fffo_drive.model.parameters import write_model
 from fffo_drive.runtime.tick import FLAG_ESTIMATED_VELOCITY
-from fffo_drive.workflows.tune import WORTH_ERROR_RATIO
 
 SCENARIO = ROOT / "configs" / "scenarios" / "paper_wrong_friction.yaml"
 TRACKING_HZ = {"fast sensor": 400.0, "slow sensor": 179.0}  # the second one lags by 1.6 ms
@@ -180,11 +177,27 @@ def table(sensor: str, duration_s: float, seeds: int) -> list[str]:
     return [*lines, "", f"The estimate was in use in at least {min(shares):.2%} of the ticks of a run.", ""]
 
 
-def worth(axis: AxisFile, scenario: Scenario) -> tuple[LinearAxis, Gains]:
-    """What the worth of the estimate is computed from."""
-    law = axis.controller
-    gains = Gains(law.proportional_a_per_rps, law.integral_a_per_rev, law.observer.gain_nm_per_rev)
-    return loop_axis(axis, scenario.model), gains
+def chosen(scenario: Scenario, resolver: dict[str, float]) -> tuple[dict[str, AxisFile], EstimateWorth]:
+    """What `tune` writes with each velocity after `commission` on this resolver, and what it counts to choose."""
+    with TemporaryDirectory(prefix="tuned_") as name:
+        place = Path(name)
+        data = yaml.safe_load(scenario.axis_path.read_text(encoding="utf-8"))
+        drive = yaml.safe_load((scenario.axis_path.parent / data["drive"]["file"]).read_text(encoding="utf-8"))
+        drive["plant"]["resolver"] = resolver
+        (place / "drive.yaml").write_text(yaml.safe_dump(drive), encoding="utf-8")
+        data |= {"model": "model.yaml", "drive": data["drive"] | {"file": "drive.yaml"}}
+        axis, model = place / "axis.yaml", place / "model.yaml"
+        axis.write_text(yaml.safe_dump(data), encoding="utf-8")
+        write_model(model, scenario.model)
+        in_this_process("commission", axis, "--yes")
+        in_this_process("commission", axis, "--accept")
+        out = place / TUNED
+        said = in_this_process("tune", model, "--axis", axis, "--out", out, "--json")
+        axes = {}
+        for source in get_args(VelocitySource):
+            in_this_process("tune", model, "--axis", axis, "--out", out, "--velocity", source)
+            axes[source] = read_axis(out / axis.name)
+        return axes, EstimateWorth(**said["on_the_estimate"])
 
 
 def noise(duration_s: float, seeds: int) -> list[str]:
@@ -192,22 +205,21 @@ def noise(duration_s: float, seeds: int) -> list[str]:
     lines = [
         "## By sensor and noise",
         "",
-        f"`tune` on the drive's velocity and on the estimate of {DEFAULT_HZ:g} Hz; true ISE in per cent of that on the",
-        "drive's. Predicted: the squared error of a step of friction outside the model, by which `tune` decides",
-        f"whether to propose the estimate (below {100.0 * WORTH_ERROR_RATIO:g} %). Counts: steps that the counts of",
-        "the position alone make in the command.",
+        f"`tune` on the drive's velocity and on the estimate of {DEFAULT_HZ:g} Hz, after `commission` on this sensor;",
+        "true ISE in per cent of that on the drive's. Predicted: the squared error by friction outside the model and",
+        f"by the noise that `commission` measured; below {100.0 * WORTH_ERROR_RATIO:g} % `tune` takes the estimate.",
+        "Steps of the command from tick to tick: rms over both references; predicted: by the measured noise alone.",
         "",
-        "| tracking loop | noise of the position | predicted | true ISE, flat | true ISE, f^-0.5 | "
-        "rms of step, mA: drive | estimated | ratio | counts |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| tracking loop | noise of the position | predicted | taken | true ISE, flat | true ISE, f^-0.5 | "
+        "step, mA: drive | estimated | ratio | predicted: drive | estimated |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     name = f"{ESTIMATED} {DEFAULT_HZ:g} Hz"
     for tracking_hz in SPEEDS_HZ:
         right = with_sensor(tracking_hz, 0.0, duration_s, seeds)
-        axes = {PLUS: tuned(right, {}), name: tuned(right, {"velocity": {"source": "estimated"}})}
-        own, other = (worth(axis, right) for axis in axes.values())
-        predicted = squared_error_of_a_step(*other) / squared_error_of_a_step(*own)
         for text, changes in NOISES.items():
+            both, worth = chosen(right, {"tracking_hz": tracking_hz, **changes})
+            axes = {PLUS: both["drive"], name: both["estimated"]}
             cells, steps_a = [], []
             for slope in SLOPES.values():
                 scenario = with_sensor(tracking_hz, slope, duration_s, seeds)
@@ -218,11 +230,12 @@ def noise(duration_s: float, seeds: int) -> list[str]:
                 cells.append(percent(compare_metric(ises, PLUS), name))
                 steps_a.append([float(np.mean([run.step_rms_a for run in found])) for found in runs.values()])
             drive_a, estimated_a = np.mean(steps_a, axis=0)
-            counted_a = step_of_command_a(*other, 2.0**-plant.resolver.bits / math.sqrt(12.0))
+            assert worth.drive_step_a is not None
             lines.append(
                 f"| {tracking_hz:g} Hz, {1e3 * right.model.sensor_delay_s.value:.2f} ms | {text} | "
-                f"{100.0 * predicted:.0f} | {cells[0]} | {cells[1]} | {1e3 * drive_a:.1f} | {1e3 * estimated_a:.1f} | "
-                f"{estimated_a / drive_a:.2f} | {1e3 * counted_a:.1f} |"
+                f"{100.0 * worth.error_ratio:.0f} | {'yes' if worth.gains else 'no'} | {cells[0]} | {cells[1]} | "
+                f"{1e3 * drive_a:.1f} | {1e3 * estimated_a:.1f} | {estimated_a / drive_a:.2f} | "
+                f"{1e3 * worth.drive_step_a:.1f} | {1e3 * worth.step_a:.1f} |"
             )
     return [*lines, ""]
 
