@@ -22,7 +22,7 @@ from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.static import write_figures
 from fffo_drive.report.tune import TuneSource, tune_report
 from fffo_drive.report.tune_figures import Tuning, open_loop
-from fffo_drive.workflows.tune import controller_section, summarise
+from fffo_drive.workflows.tune import Tuned, summarise
 
 PERIOD_S = 0.0005
 
@@ -40,7 +40,7 @@ def made(directory, wish=None, change=None, estimator_hz=None, **gains):
     found = design(axis, attraction, wish)
     if gains:
         found = judge(axis, attraction, found.gains._replace(**gains), wish)
-    text = yaml.safe_dump({"controller": controller_section(found, axis, 10.0)})
+    text = yaml.safe_dump({"controller": Tuned(axis, found).section(10.0)})
     path = directory / "controller.yaml"
     path.write_text(text)
     source = TuneSource(TABLE_1, model, 0.5 * PERIOD_S, text, [path], ["fffo-drive config check AXIS.yaml"])
