@@ -145,7 +145,7 @@ def execute(options: argparse.Namespace) -> int:
         written.append(write_tuned_axis(Path(options.axis), out, section, Path(options.model), ticks))
     commands = _commands(written[-1] if options.axis else None, Path(options.model))
     source = TuneSource(Path(options.model), model, 0.5 * period_s, text, written, commands, more)
-    tuning = Tuning(tuned.axis, found, wish, model.friction_config(), tuned.by_notches)
+    tuning = Tuning(tuned.axis, found, wish, model.friction_config(), tuned.by_notches, measured.response)
     page = tune_report(source, tuning, result)
     paths = write_report(page, out)
     if options.svg:

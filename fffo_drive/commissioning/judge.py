@@ -29,6 +29,7 @@ CHECKS = {
     "position_window": "outside the position window the axis is stopped",
     "quick_stop": "quick stop brakes harder than friction alone",
     "resonance": "response to a small sweep: whether a load swings on a spring",
+    "contact": "response to a small sweep at rest: how stiffly friction holds the axis, against the model",
 }
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..control.stability import contact_nm_per_rev, is_same_contact
 from ..model.parameters import ModelFile
 from ..units import NORMAL_95
 from .estimate import GainFit, HeldCurrent, ScaleFit
@@ -38,6 +39,8 @@ class Beliefs(NamedTuple):
     torque_constant_nm_per_a: float
     assumed_kg_m2: float | None = None  # an inertia that was not declared: its check measures it, and cannot fail
     delay_assumed: bool = False
+    contact_nm_per_rev: tuple[float, float] = (0.0, math.inf)  # at rest, softest and stiffest
+    contact_assumed: bool = False
 
 
 def beliefs_of(model: ModelFile) -> Beliefs:
@@ -52,6 +55,8 @@ def beliefs_of(model: ModelFile) -> Beliefs:
         constant,
         model.inertia_kg_m2.value if model.inertia_kg_m2.assumed else None,
         model.delay_s.assumed,
+        contact_nm_per_rev(model),
+        model.friction.stiffness_per_rev.assumed,
     )
 
 
@@ -293,6 +298,16 @@ def resonance(found: ResponseRecord | str) -> CheckRecord:
     swing = found.swing
     moved = f"the axis moved back and forth at up to {swing.largest_rps:.2g} rps over {swing.travel_rev:.2g} rev"
     load = found.elastic
+    if found.fit_error is not None:
+        text = (
+            f"from {band} the axis answers neither as one inertia nor as one with a load on a spring, by "
+            f"{100.0 * found.fit_error:.0f} % of the response: no resonance is read from it; {moved}"
+        )
+        remedy = (
+            "backlash, more than one load, or strong cogging? `tune` holds its margins on the points as measured; "
+            "diagnose recordings of the axis before its gains are raised"
+        )
+        return judged("resonance", WARNING, text, remedy, numbers | {"fit_error": found.fit_error})
     if load is None:
         return judged("resonance", OK, f"none from {band}; {moved}", numbers=numbers)
     text = (
@@ -306,3 +321,27 @@ def resonance(found: ResponseRecord | str) -> CheckRecord:
     )
     numbers |= {"frequency_hz": load.frequency_hz, "share": load.share, "damping": load.damping}
     return judged("resonance", WARNING, text, remedy, numbers)
+
+
+def contact(found: ResponseRecord | str, beliefs: Beliefs) -> CheckRecord:
+    """How stiffly friction holds the axis at rest; text: why it cannot be told."""
+    remedy = "the margins at rest stand on the model's contact alone: watch the axis when it first stands under control"
+    if isinstance(found, str):
+        return judged("contact", WARNING, f"cannot tell: {found}", remedy)
+    contact_nm, at_rest = found.contact_nm_per_rev(beliefs.torque_constant_nm_per_a), found.at_rest
+    assert contact_nm is not None
+    assert at_rest is not None
+    last, hz = at_rest.contacts[-1], [math.sqrt(value) / (2.0 * math.pi) for value in at_rest.contact_per_s2]
+    text = (
+        f"friction holds the axis at rest with {contact_nm[0]:.3g} to {contact_nm[1]:.3g} Nm/rev, on which its inertia "
+        f"resonates at {hz[0]:.3g} to {hz[1]:.3g} Hz; under {last.current_a:.2g} A it moved by {last.travel_rev:.2g} "
+        "rev. `tune` holds its margins at rest on it"
+    )
+    numbers = {"softest_nm_per_rev": contact_nm[0], "stiffest_nm_per_rev": contact_nm[1]}
+    soft, stiff = beliefs.contact_nm_per_rev
+    if beliefs.contact_assumed:
+        return judged("contact", OK, text, numbers=numbers)
+    text += f"; the model's contact has {soft:.3g} to {stiff:.3g} Nm/rev"
+    same = is_same_contact(contact_nm, beliefs.contact_nm_per_rev)
+    remedy = "identify the axis again, with slow reversals: its friction torque at rest and after a reversal is wrong"
+    return judged("contact", OK if same else WARNING, text, remedy, numbers)

@@ -25,7 +25,7 @@ from ..control.reference import Profile
 from ..drive.port import Drive, DriveError, DriveIdentity
 from ..model.parameters import ModelFile
 from ..runtime.session import Session, SessionConfig
-from ..units import PERMILLE
+from ..units import NORMAL_95, PERMILLE
 from . import limit_checks, motion_checks, pulses
 from .bounds import Bounds, bounded_envelope
 from .estimate import (
@@ -47,12 +47,13 @@ from .noise import noise_record
 from .objects import NamePlate, ObjectSource, read_name_plate, read_number
 from .record import FAILED, OK, UNEXPLAINED_SHARE, WARNING, CheckRecord, DeclaredFacts, NoiseRecord, ResponseRecord
 from .rig import PulseRun, Rig, Runner, TimeBoundError, position_at_rest
-from .sweep import Sweeps, response_record
+from .sweep import RestSweeps, Sweeps, response_record
 
 LISTEN_S = 0.5
 REST_TAIL_S = 0.05
 FIRST_SHARE = 0.01  # of the current bound: the first pulse
 GROWTH = 1.25
+SURE_RESONANCE = 0.05  # of its frequency: interval of a resonance that explains what pulses do not
 WANTED_SHARE = 0.4  # of the speed bound: fast enough to measure
 LARGEST_SPEED_SHARE = 0.6  # of the bound: a pulse expected to exceed it is not tried
 LARGEST_TRAVEL_SHARE = 0.4
@@ -123,6 +124,13 @@ def _like(probe: _Probe) -> str:
     return f"of {probe.amplitude_a:.3g} A, about {speed_rps:.2g} rps and {travel_rev:.2g} rev"
 
 
+def _rough_gain(probe: _Probe, beliefs: Beliefs) -> GainFit:
+    """Good enough to begin a sweep with: what a pulse gives beyond half the current that just moves the axis."""
+    driving_a = probe.amplitude_a - 0.5 * probe.breakaway_a
+    speed_rps = float(np.median([abs(move.speed_rps) for move in probe.moves]))
+    return GainFit(speed_rps / (driving_a * probe.length_s), beliefs.delay_s, 1.0)
+
+
 def _unexplained_text(share: float) -> str:
     return f"a single rigid inertia leaves {100.0 * share:.0f} % of the velocity variance unexplained"
 
@@ -184,6 +192,7 @@ class _Procedure:
         self.rest_rev = 0.0
         self.noise_rps = 0.0
         self.gain: GainFit | None = None
+        self._unexplained: CheckRecord | None = None  # the check `motion`, unless the sweep tells why
         self.response: ResponseRecord | None = None
         self.noise: NoiseRecord | None = None
 
@@ -398,6 +407,8 @@ class _Procedure:
         self.add(motion_checks.current_scale(slope, samples, held, self.plate, beliefs))
         if gain is None:
             self._is_unexplained(probe, slid, bool(suspected))
+            self.gain = _rough_gain(probe, beliefs)
+            self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
             return
         if gain.unexplained > RIGID_UNEXPLAINED:
             self._is_not_rigid(gain.unexplained)
@@ -407,7 +418,9 @@ class _Procedure:
         self.add(motion_checks.static_friction(probe.breakaway_a, beliefs))
 
     def _is_unexplained(self, probe: _Probe, slid: GainFit | None, scale_suspected: bool) -> None:
-        """Neither gain nor delay can be measured: unless a wrong scale explains it, the motion check has failed."""
+        """Neither gain nor delay can be measured by pulses. Unless a wrong scale explains it, the sweep may tell why;
+        an axis that does not slide cannot be swept.
+        """
         text = f"pulses of {probe.amplitude_a:.3g} A move the axis, but "
         if slid is None:
             text += "it does not slide under them"
@@ -418,7 +431,10 @@ class _Procedure:
                 "is the brake released and the axis free, or does a load swing on an elastic coupling? If it needs "
                 "more, give a larger --current or --speed"
             )
-            self.add(judged("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a}))
+            self._unexplained = judged("motion", FAILED, text, remedy, {"current_a": probe.amplitude_a})
+            if slid is not None:
+                return
+            self.add(self._unexplained)
         raise _SurpriseError(text)
 
     def _is_not_rigid(self, unexplained: float) -> None:
@@ -505,10 +521,51 @@ class _Procedure:
         if refusal is None:
             self.response, self.noise = response_record(sweeps), noise_record(sweeps)
         self.add(motion_checks.resonance(self.response or str(refusal)))
+        if self._unexplained is not None:
+            self._is_explained(self._unexplained)
         if self.response is not None and self.response.elastic is not None:
             # a pulse takes a motor with a load on a spring for another rigid inertia, with another delay
             self.add(motion_checks.delay(self.response.delay_s, self.rig.period_s, self.beliefs))
             self.add(motion_checks.torque_per_inertia(self.response.gain_rps2_per_a, self.beliefs))
+        if self.response is not None:
+            self._at_rest(envelope, RestSweeps(sweeps, probe.breakaway_a))
+        else:
+            text = "the response in motion was not measured, and what moves is not known without it"
+            self.add(motion_checks.contact(text, self.beliefs))
+
+    def _is_explained(self, unexplained: CheckRecord) -> None:
+        """Pulses did not show how the axis moves: it has failed unless the sweep surely found a load that swings."""
+        load = None if self.response is None else self.response.elastic
+        if load is None or NORMAL_95 * load.frequency_sd_hz > SURE_RESONANCE * load.frequency_hz:
+            self.add(unexplained)
+            raise _SurpriseError(unexplained.text)
+        text = f"{self.found['motion'].text}; {unexplained.text.partition(', but ')[2]}: a load swings, see resonance"
+        self.add(judged("motion", WARNING, text, "see the check resonance", self.found["motion"].numbers))
+
+    def _at_rest(self, envelope: EnvelopeConfig, sweeps: RestSweeps) -> None:
+        """Sweep the axis at rest, and keep what holds it there."""
+        assert self.response is not None
+        self.ask(
+            f"the same sweep at rest, of {sweeps.most_a:.2g} A at most, under which the axis stays where it is; if it "
+            f"does not, at most {self.bounds.speed_rps:.3g} rps and {self.bounds.travel_rev:.3g} rev",
+            "contact",
+        )
+        self.tell(f"sweep at rest, up to {sweeps.most_a:.2g} A")
+        refusal = ""
+        try:
+            with self.rig.under(envelope) as runner:
+                while (profile := sweeps.next()) is not None:
+                    run = runner.run(profile)
+                    self._note_rest(run.motion)
+                    if run.fault_text is not None:
+                        refusal = run.fault_text
+                        break
+                    refusal = sweeps.made(run.motion) or refusal
+        except TimeBoundError:
+            refusal = f"the axis has moved for {self.bounds.time_s:g} s, which is the limit"
+        at_rest = sweeps.record()
+        self.response = self.response.model_copy(update={"at_rest": at_rest})
+        self.add(motion_checks.contact(refusal if at_rest is None else self.response, self.beliefs))
 
     def _swing(self, envelope: EnvelopeConfig, sweeps: Sweeps) -> str | None:
         """Let the axis slide under the sweep until its response is measured; text: why it is not."""

@@ -19,6 +19,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from .. import formats
 from ..documents import StrictRecord, load, refuse
 from ..drive.port import DriveIdentity
+from ..units import NORMAL_95
 
 OK: Literal["ok"] = "ok"
 WARNING: Literal["warning"] = "warning"
@@ -28,6 +29,11 @@ Verdict = Literal["ok", "warning", "failed", "not_done"]
 
 HASH_LENGTH = 64
 MILLI = 1e-3
+
+
+def _without(name: str, found: dict[str, Any]) -> dict[str, Any]:
+    """A record without this key where it has no value."""
+    return {key: value for key, value in found.items() if key != name or value is not None}
 
 
 class DeclaredFacts(StrictRecord):
@@ -137,6 +143,39 @@ class ElasticRecord(StrictRecord):
         return self.frequency_hz * math.sqrt(1.0 - self.share)
 
 
+class ContactRecord(StrictRecord):
+    """What holds the axis at rest under a sweep of one amplitude."""
+
+    current_a: Annotated[float, Field(description="amplitude of the sweep")]
+    travel_rev: Annotated[float, Field(description="from the lowest to the highest position")]
+    contact_per_s2: Annotated[float, Field(description="stiffness of the contact over the inertia")]
+    contact_sd_per_s2: Annotated[float, Field(description="standard deviation of contact_per_s2")]
+    damping_per_s: Annotated[float, Field(description="friction over the inertia")]
+
+
+class RestRecord(StrictRecord):
+    """Velocity over current of the axis at rest under the largest of its sweeps, and its contact under each of them."""
+
+    frequency_hz: Annotated[list[float], Field(description="rising")]
+    gain_rps_per_a: Annotated[list[float], Field(description="velocity over current")]
+    phase_deg: Annotated[list[float], Field(description="of velocity behind current, with every delay between them")]
+    coherence: Annotated[list[float], Field(description="share of the answer that repeats with the sweep")]
+    contacts: Annotated[list[ContactRecord], Field(min_length=2, description="by rising amplitude")]
+
+    @property
+    def contact_per_s2(self) -> tuple[float, float]:
+        """The contact over the inertia, as soft and as stiff as these amplitudes show it.
+
+        Friction gives way the more it is loaded. The stiffest is that of no load, on the line through the smallest and
+        the largest amplitude.
+        """
+        first, last = self.contacts[0], self.contacts[-1]
+        falls = max(0.0, first.contact_per_s2 - last.contact_per_s2) / (last.current_a - first.current_a)
+        softest = min(one.contact_per_s2 - NORMAL_95 * one.contact_sd_per_s2 for one in self.contacts)
+        stiffest = max(one.contact_per_s2 + NORMAL_95 * one.contact_sd_per_s2 for one in self.contacts)
+        return softest, stiffest + falls * first.current_a
+
+
 class ResponseRecord(StrictRecord):
     """Velocity over current of the sliding axis, from the command to the drive's own velocity, and the fit to it."""
 
@@ -152,6 +191,23 @@ class ResponseRecord(StrictRecord):
     contact_per_s2: Annotated[float, Field(description="stiffness of the contact, while it reverses, over the inertia")]
     evidence: Annotated[float, Field(description="F of an elastic load against none")]
     elastic: Annotated[ElasticRecord | None, Field(description="null: none was found in this band")] = None
+    fit_error: Annotated[
+        float | None, Field(description="of the fit over the response, median; null: small enough to be believed")
+    ] = None
+    at_rest: Annotated[RestRecord | None, Field(description="null: it was not measured, or shows no contact")] = None
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Records without a response at rest keep their hash."""
+        return _without("fit_error", _without("at_rest", dump(self)))
+
+    def contact_nm_per_rev(self, torque_constant_nm_per_a: float) -> tuple[float, float] | None:
+        """The contact at rest, softest and stiffest; None where it was not measured."""
+        if self.at_rest is None:
+            return None
+        inertia = torque_constant_nm_per_a / self.gain_rps2_per_a
+        softest, stiffest = self.at_rest.contact_per_s2
+        return inertia * softest, inertia * stiffest
 
 
 class NoiseRecord(StrictRecord):
@@ -191,8 +247,7 @@ class CommissioningRecord(StrictRecord):
     @model_serializer(mode="wrap")
     def _without_nothing(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Records without a response or noise keep their hash."""
-        found: dict[str, Any] = dump(self)
-        return {key: value for key, value in found.items() if key not in ("response", "noise") or value is not None}
+        return _without("noise", _without("response", dump(self)))
 
     @property
     def passed(self) -> bool:

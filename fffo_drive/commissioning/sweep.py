@@ -1,10 +1,11 @@
-"""The sweep of commissioning: an axis that moves back and forth, and a small sweep of current on top of it.
+"""The sweeps of commissioning: of an axis that moves back and forth, and of the same axis at rest.
 
-At rest the contact carries the axis like a spring of its own, and each reversal dampens it: a small sweep would measure
-that. So the axis slides at a slow speed: a kick turns it round, a bias holds its speed against friction until the next
-kick, and the sweep moves it by less. Each sweep is followed by its negative (identification.sweep_response). Signs,
-scales, gain and delay have passed by then, and a velocity loop of SLOW_HZ, far below any resonance that is looked for,
-keeps the axis where it is; kick and bias are corrected second by second until that loop has little left to do.
+At rest the contact carries the axis like a spring of its own, and each reversal dampens it: a small sweep measures
+that. For what the axis itself is, it slides at a slow speed: a kick turns it round, a bias holds its speed against
+friction until the next kick, and the sweep moves it by less. Each sweep is followed by its negative
+(identification.sweep_response). Signs, scales, gain and delay have passed by then, and a velocity loop of SLOW_HZ, far
+below any resonance that is looked for, keeps the axis where it is; kick and bias are corrected second by second until
+that loop has little left to do.
 """
 
 from __future__ import annotations
@@ -19,12 +20,21 @@ from ..control.envelope import TRIP_OVERSPEED, TRIP_POSITION_WINDOW
 from ..control.reference import MODE_VELOCITY, Profile
 from ..control.stability import RIGID, Complexes
 from ..identification.excitation import chirp
-from ..identification.sweep_response import SweepFit, SweepLines, fit_sweep, sweep_lines
+from ..identification.sweep_response import (
+    SURE_ERROR,
+    ContactFit,
+    SweepFit,
+    SweepLines,
+    fit_contact,
+    fit_sweep,
+    sweep_lines,
+)
 from .bounds import Bounds, SlowLoop
 from .estimate import GainFit
 from .motion import PulseMotion, extreme
-from .pulses import LEAD_S
-from .record import ElasticRecord, ResponseRecord, SwingRecord
+from .motion_checks import MOVED_REV
+from .pulses import LEAD_S, current_profile
+from .record import ContactRecord, ElasticRecord, ResponseRecord, RestRecord, SwingRecord
 
 SWEEP_S = 1.0  # of one sweep; its lines lie 1 Hz apart
 BAND_HZ = (10.0, 400.0)
@@ -44,11 +54,13 @@ SLOW_HZ, FILTER_HZ, CORNER_HZ = 2.0, 8.0, 0.5  # crossover of the slow loop, its
 MOST_TRIALS = 16
 MOST_TRIPS = 5
 # A run is torn, and made again, where feedback is missing for longer: a gap of 2 ms in each run moved no margin of the
-# example by more than 5 degrees, one of 4 ms put single lines so far off that the loop at rest seemed unstable
+# example by more than 5 degrees, one of 4 ms puts single lines far off
 LONGEST_GAP_S = 1e-3
 MOST_TORN = 6
 EASED = 0.8  # speed and sweep, after a trip
 POINTS = 150  # of the response in a record
+REST_SHARES = (0.06, 0.15, 0.4)  # of the current that just moves the axis: amplitudes at rest, far below it
+REST_PAIRS = 3  # of sweep and negative at rest
 TOO_FAR = (TRIP_OVERSPEED, TRIP_POSITION_WINDOW)  # a swing that was too large
 
 
@@ -83,6 +95,7 @@ class Sweeps:
         self._slides = False
         self._way = 1.0  # in which the next motion begins: they take turns, or the axis would wander
         self.measured: list[PulseMotion] = []
+        self.fitted: SweepFit | None = None  # to them
 
     @property
     def loop(self) -> SlowLoop:
@@ -128,7 +141,8 @@ class Sweeps:
         if fast and max(slid) < SLIDING_MOST:  # not because it slides too fast: it swings on a spring
             self.ease()
             return
-        if self._slides and self._gap_s(motion) > max(LONGEST_GAP_S, 1.5 * self.period_s):
+        pair = self._samples(2 * PAIRS)[-2 * round(SWEEP_S / self.period_s) :]
+        if self._slides and self.is_torn(motion, pair):
             self._torn += 1
         elif self._slides and not fast:
             self.measured.append(motion)
@@ -169,28 +183,19 @@ class Sweeps:
         return Profile("sweep", MODE_VELOCITY, period_s, np.concatenate(velocity_rps), np.concatenate(current_a))
 
     def _swept(self, motion: PulseMotion, sweeps: int) -> tuple[Floats, Floats, Floats]:
-        """Command, velocity and position at each tick of the sweeps.
-
-        Rows without fresh feedback are missing: a command is held over them, velocity and position lie between.
-        """
-        running = motion.part(motion.sample >= 0)
-        samples = self._samples(sweeps)
-        held = np.searchsorted(running.sample, samples, side="right") - 1
-        velocity_rps, position_rev = (
-            np.interp(samples, running.sample, values) for values in (running.velocity_rps, running.position_rev)
-        )
-        return running.command_a[held], velocity_rps, position_rev
+        """Command, velocity and position at each tick of the sweeps."""
+        return _ticks(motion, self._samples(sweeps))
 
     def _samples(self, sweeps: int) -> Integers:
         """Those of a profile in which it has so many sweeps."""
         first = round(LEAD_S / self.period_s) + self._half_kick
         return first + np.arange(sweeps * round(SWEEP_S / self.period_s))
 
-    def _gap_s(self, motion: PulseMotion) -> float:
-        """The longest time without fresh feedback in the pair of a run that is measured."""
-        measured = self._samples(2 * PAIRS)[-2 * round(SWEEP_S / self.period_s) :]
+    def is_torn(self, motion: PulseMotion, measured: Integers) -> bool:
+        """Whether feedback was missing for too long in what of a profile is measured."""
         seen = np.intersect1d(measured, motion.sample)
-        return float(np.diff(seen, prepend=measured[0] - 1, append=measured[-1] + 1).max() - 1) * self.period_s
+        gap_s = float(np.diff(seen, prepend=measured[0] - 1, append=measured[-1] + 1).max() - 1) * self.period_s
+        return gap_s > max(LONGEST_GAP_S, 1.5 * self.period_s)
 
     def _half_periods(self, time_s: Floats) -> tuple[Floats, Floats]:
         """Side of the half period, and the share of it that has passed. It begins after a kick."""
@@ -238,10 +243,98 @@ class Sweeps:
         return position_rev, velocity_rps
 
 
+class RestSweeps:
+    """Sweeps of an axis at rest, so small that friction holds it: a spring on the inertia.
+
+    They grow while it holds. No loop is closed.
+    """
+
+    def __init__(self, sweeps: Sweeps, breakaway_a: float) -> None:
+        """`sweeps`: of the same axis in motion, with their fit."""
+        assert sweeps.fitted is not None
+        self._sweeps, self._breakaway_a, self._moving = sweeps, breakaway_a, sweeps.fitted
+        self._shares = list(REST_SHARES)
+        self._last: tuple[SweepLines, ContactFit] | None = None
+        self._torn = 0
+        self.contacts: list[ContactRecord] = []
+
+    @property
+    def most_a(self) -> float:
+        """The largest amplitude."""
+        return REST_SHARES[-1] * self._breakaway_a
+
+    def next(self) -> Profile | None:
+        """The next sweeps; None: no more are needed, or made."""
+        if not self._shares or self._torn == MOST_TORN:
+            return None
+        period_s = self._sweeps.period_s
+        once = self._shares[0] * self._breakaway_a * chirp(*self._sweeps.band_hz, SWEEP_S, period_s)
+        rest = np.zeros(round(LEAD_S / period_s))
+        return current_profile(
+            "rest", period_s, np.concatenate([rest, np.tile(np.append(once, -once), REST_PAIRS), rest])
+        )
+
+    def made(self, motion: PulseMotion) -> str | None:
+        """Take sweeps that went to their end. Text: why they do not tell the contact."""
+        period_s = self._sweeps.period_s
+        pair = 2 * round(SWEEP_S / period_s)
+        samples = round(LEAD_S / period_s) + pair + np.arange((REST_PAIRS - 1) * pair)  # the first settles the contact
+        if self._sweeps.is_torn(motion, samples):
+            self._torn += 1
+            return f"feedback was missing for more than {LONGEST_GAP_S * 1e3:g} ms in {self._torn} runs of it"
+        share = self._shares.pop(0)
+        current_a, velocity_rps = (values.reshape(-1, pair) for values in _ticks(motion, samples)[:2])
+        travel_rev = float(np.ptp(motion.position_rev))
+        if travel_rev > MOVED_REV:
+            self._shares.clear()
+            return f"a sweep of {share * self._breakaway_a:.2g} A moves the axis by {travel_rev:.2g} rev"
+        lines = sweep_lines(current_a, velocity_rps, period_s, SWEEP_S, self._sweeps.band_hz)
+        fit = fit_contact(lines, self._moving)
+        if fit.doubt:
+            return fit.doubt
+        self._last = lines, fit
+        self.contacts.append(
+            ContactRecord(
+                current_a=_digits(share * self._breakaway_a),
+                travel_rev=_digits(travel_rev),
+                contact_per_s2=_digits(fit.contact_per_s2),
+                contact_sd_per_s2=_digits(fit.contact_sd_per_s2),
+                damping_per_s=_digits(fit.damping_per_s),
+            )
+        )
+        return None
+
+    def record(self) -> RestRecord | None:
+        """The response to the largest of them; None where fewer than two amplitudes show a contact."""
+        if self._last is None or len(self.contacts) < 2:
+            return None
+        frequency_hz, response, coherence = _thinned(*self._last)
+        return RestRecord(
+            frequency_hz=[_digits(value) for value in frequency_hz],
+            gain_rps_per_a=[_digits(value) for value in np.abs(response)],
+            phase_deg=[_digits(value) for value in np.degrees(np.unwrap(np.angle(response)))],
+            coherence=[_digits(value) for value in coherence],
+            contacts=self.contacts,
+        )
+
+
+def _ticks(motion: PulseMotion, samples: Integers) -> tuple[Floats, Floats, Floats]:
+    """Command, velocity and position at these samples of a profile.
+
+    Rows without fresh feedback are missing: a command is held over them, velocity and position lie between.
+    """
+    running = motion.part(motion.sample >= 0)
+    held = np.searchsorted(running.sample, samples, side="right") - 1
+    velocity_rps, position_rev = (
+        np.interp(samples, running.sample, values) for values in (running.velocity_rps, running.position_rev)
+    )
+    return running.command_a[held], velocity_rps, position_rev
+
+
 def response_record(sweeps: Sweeps) -> ResponseRecord:
     """The response to all sweeps, the fit to it, and how the axis moved."""
     lines = sweeps.lines()
-    fit = fit_sweep(lines, sweeps.delay_s)
+    fit = sweeps.fitted = fit_sweep(lines, sweeps.delay_s)
     frequency_hz, response, coherence = _thinned(lines, fit)
     elastic, sd = fit.elastic, fit.elastic_sd
     found = None
@@ -277,6 +370,7 @@ def response_record(sweeps: Sweeps) -> ResponseRecord:
         contact_per_s2=_digits(fit.contact_per_s2),
         evidence=_digits(fit.evidence),
         elastic=found,
+        fit_error=_digits(fit.error) if fit.error > SURE_ERROR else None,
     )
 
 
@@ -284,7 +378,7 @@ def _digits(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _thinned(lines: SweepLines, fit: SweepFit) -> tuple[Floats, Complexes, Floats]:
+def _thinned(lines: SweepLines, fit: SweepFit | ContactFit) -> tuple[Floats, Complexes, Floats]:
     """About POINTS frequencies, evenly spaced in log frequency: the mean of what the lines are over the fit, times the
     fit there. A resonance sharper than the points are dense is in the fit.
     """

@@ -34,7 +34,8 @@ def response_in(file: Path) -> ResponseRecord | None:
 
 
 def with_response(axis: LinearAxis, model: ModelFile, response: ResponseRecord) -> LinearAxis:
-    """The axis as the sweep found it: its elastic load or none, the longer delay, and what it is beside them.
+    """The axis as the sweeps found it: its elastic load or none, the longer delay, what it is beside them, and the
+    contact that holds it at rest.
 
     An elastic load of the model counts where the sweep did not look for one.
     """
@@ -59,6 +60,7 @@ def with_response(axis: LinearAxis, model: ModelFile, response: ResponseRecord) 
         resonance_spread=spread,
         delay_s=axis.delay_s + longer_s(model, response),
         measured=measured if measured.frequencies_hz else None,
+        measured_contact_nm_per_rev=response.contact_nm_per_rev(axis.torque_constant_nm_per_a),
     )
 
 

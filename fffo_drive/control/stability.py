@@ -48,6 +48,8 @@ SWEEP_LOW_HZ = 1e-2
 SWEEP_HIGH_HZ = 1e4
 SWEEP_POINTS = 20_000
 RESONANCE_SPREAD = 0.1  # of a resonance, either way, unless its interval is wider: load, wear and temperature move it
+CONTACT_SPREAD = 0.2  # ... and the stiffness of a measured contact: that of its resonance, twice
+CONTACT_OK = 1.5  # between contacts that are the same: their resonances differ by a fifth
 LARGEST_SPREAD = 0.5  # a resonance that is known less well is not known
 RESONANCES = 5  # that stand for a spread
 STICK_SLIP_SPEEDS = np.geomspace(0.05, 5.0, 25)  # over the Stribeck velocity: the range in which the curve falls
@@ -93,6 +95,7 @@ class LinearAxis(NamedTuple):
     resonance_spread: float = 0.0  # share by which the resonance of the elastic load may differ, either way
     inertia_range_nm_s2_per_rev: tuple[float, float] | None = None  # least and largest load; None: one load
     measured: MeasuredResponse | None = None  # of inertia and elastic load, in its band
+    measured_contact_nm_per_rev: tuple[float, float] | None = None  # softest and stiffest at rest; None: the model's
 
     def with_inertia(self, inertia_nm_s2_per_rev: float) -> LinearAxis:
         """The same axis with another load, and no range: motor, spring and the spring's damping are the same.
@@ -131,18 +134,31 @@ def condition_14_nm_per_rev(
 
 
 def impedance_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
-    """Torque over velocity of the motor shaft, without the delay; s and the result (n,)."""
-    return moved_nm_per_rps(axis, s) + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+    """Torque over velocity of the motor shaft, without the delay; s and the result (n,).
+
+    Mechanics give no power, so that the phase of a measured ratio is lag on the way to the sensor. As a part of the
+    mechanics one degree of it would outweigh sigma, and turn the damping of the contact's resonance into its opposite.
+    """
+    held = axis.damping_nm_per_rps + axis.contact_nm_per_rev / s
+    return (moved_nm_per_rps(axis, s) + held) * measured_turn(axis, s)
 
 
 def moved_nm_per_rps(axis: LinearAxis, s: Complexes) -> Complexes:
-    """The part of inertia and elastic load in it, as measured where it was; s and the result (n,)."""
-    moved = mechanics_nm_per_rps(axis.inertia_nm_s2_per_rev, axis.elastic, s)
+    """The part of inertia and elastic load in it, in size as measured where it was; s and the result (n,)."""
+    return mechanics_nm_per_rps(axis.inertia_nm_s2_per_rev, axis.elastic, s) * np.abs(_measured_ratio(axis, s))
+
+
+def measured_turn(axis: LinearAxis, s: Complexes) -> Complexes:
+    """The phase of what was measured over the model, as a factor of size 1; s and the result (n,)."""
+    ratio = _measured_ratio(axis, s)
+    return np.asarray(ratio / np.abs(ratio))
+
+
+def _measured_ratio(axis: LinearAxis, s: Complexes) -> Complexes:
     if axis.measured is None:
-        return moved
+        return np.ones_like(s)
     measured_hz = np.array(axis.measured.frequencies_hz)
-    ratio = np.interp(np.abs(s) / (2.0 * math.pi), measured_hz, np.array(axis.measured.ratio), 1.0, 1.0)
-    return np.asarray(moved * ratio)
+    return np.asarray(np.interp(np.abs(s) / (2.0 * math.pi), measured_hz, np.array(axis.measured.ratio), 1.0, 1.0))
 
 
 def mechanics_nm_per_rps(inertia_nm_s2_per_rev: float, elastic: ElasticLoad, s: Complexes) -> Complexes:
@@ -285,8 +301,8 @@ def _velocity_rps_per_nm(axis: LinearAxis, stride: int) -> Complexes:
         estimator=axis.estimator,
     )
     s = 1j * sweep_rad_per_s(axis.estimator)[::stride]
-    moved = _on_sweep(moved_nm_per_rps, moving, stride)
-    return np.asarray(1.0 / (moved + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s))
+    moved, turn = (_on_sweep(part, moving, stride) for part in (moved_nm_per_rps, measured_turn))
+    return np.asarray(1.0 / ((moved + axis.damping_nm_per_rps + axis.contact_nm_per_rev / s) * turn))
 
 
 @functools.lru_cache(maxsize=32)  # likewise; loads, resonances, dampings and contacts have most of it in common
@@ -399,7 +415,18 @@ def linear_axis(
 
 
 def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> tuple[LinearAxis, LinearAxis]:
-    """The same axis at rest, on its contact as soft and as stiff as it may be.
+    """The same axis at rest, on its contact as soft and as stiff as it may be: as commissioning measured it, with
+    CONTACT_SPREAD to both sides, or else as the model has it.
+    """
+    soft, stiff = contact_nm_per_rev(model, dead_band_rev)
+    if sliding.measured_contact_nm_per_rev is not None:
+        softest, stiffest = sliding.measured_contact_nm_per_rev
+        soft, stiff = softest / (1.0 + CONTACT_SPREAD), stiffest * (1.0 + CONTACT_SPREAD)
+    return sliding._replace(contact_nm_per_rev=soft), sliding._replace(contact_nm_per_rev=stiff)
+
+
+def contact_nm_per_rev(model: ModelFile, dead_band_rev: float = 0.0) -> tuple[float, float]:
+    """The contact of a model, as soft and as stiff as it may be.
 
     Unloaded, dF/dx of (2) and (3) at F = 0 is Fc K + B. Contacts follow other laws: one whose stiffness does not depend
     on the level, as LuGre's, and that carries Fs before it breaks away, is as stiff as Fs K + B. Over the travel that
@@ -411,8 +438,12 @@ def stuck_axes(sliding: LinearAxis, model: ModelFile, dead_band_rev: float) -> t
         least_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev,
         friction.static_nm / held_travel_rev(friction.stiffness_per_rev, dead_band_rev),
     )
-    stiff = most_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
-    return sliding._replace(contact_nm_per_rev=soft), sliding._replace(contact_nm_per_rev=stiff)
+    return soft, most_nm * friction.stiffness_per_rev + friction.attraction_nm_per_rev
+
+
+def is_same_contact(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two contacts, softest and stiffest, overlap within CONTACT_OK."""
+    return one[0] <= CONTACT_OK * other[1] and other[0] <= CONTACT_OK * one[1]
 
 
 def stick_slip_rps(

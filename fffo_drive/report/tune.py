@@ -65,6 +65,7 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
             Section("Poles", "Poles of the closed loop as the gain rises.",
                     (*draw.locus_figures(tuning), draw.poles_figure(tuning))),
             Section("Step", "Response to a step of the reference.", (draw.step_figure(tuning),)),
+            *_measured(tuning),
             Section("Open loop", "With the delay, without and with the observer's L.",
                     tuple(draw.bode_figures(tuning))),
             Section("Friction damping", "Range of friction damping that the loop tolerates.",
@@ -76,6 +77,11 @@ def tune_report(source: TuneSource, tuning: Tuning, results: dict[str, Any]) -> 
         listings=_listings(source),
     )  # fmt: skip
     return of_linear_axis(report) if source.model.units == "linear" else report
+
+
+def _measured(tuning: Tuning) -> tuple[Section, ...]:
+    figures = tuple(draw.measured_figures(tuning))
+    return (Section("Measured response", "From current to velocity, by commissioning.", figures),) if figures else ()
 
 
 def _verdict(source: TuneSource, tuning: Tuning) -> Verdict:
@@ -177,7 +183,11 @@ def response_text(axis: LinearAxis) -> str:
     if axis.measured is None:
         return "margins from the model alone: no response was measured (run `fffo-drive commission`, then give --axis)"
     low_hz, high_hz = (axis.measured.frequencies_hz[k] for k in (0, -1))
-    return f"margins from the response that commissioning measured, {low_hz:.0f} to {high_hz:.0f} Hz"
+    at_rest = "at rest from the contact of the model"
+    if axis.measured_contact_nm_per_rev is not None:
+        soft, stiff = axis.measured_contact_nm_per_rev
+        at_rest = f"at rest from the contact that it measured, {significant(soft)} to {significant(stiff)} Nm/rev"
+    return f"margins from the response that commissioning measured, {low_hz:.0f} to {high_hz:.0f} Hz; {at_rest}"
 
 
 def _first_command(source: TuneSource) -> str:

@@ -7,7 +7,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..control.stability import RIGID, LinearAxis, Margins, error_response, impedance_nm_per_rps, loop_margins
+from ..commissioning.record import ResponseRecord, RestRecord
+from ..control.stability import (
+    RIGID,
+    Complexes,
+    ElasticLoad,
+    LinearAxis,
+    Margins,
+    error_response,
+    impedance_nm_per_rps,
+    loop_margins,
+    mechanics_nm_per_rps,
+    notch_response,
+)
 from ..control.velocity_estimator import estimator_response
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
@@ -23,6 +35,7 @@ LAST_TURN = 0.5  # turns of phase that the delay takes at the end of the figure
 BEYOND_RESONANCE = 1.5  # of a resonance, the figure ends
 DAMPINGS = 81
 SHORTEST_STEP_S = 0.15
+LEAST_COHERENCE = 0.8  # of points that are drawn
 
 
 class Tuning(NamedTuple):
@@ -33,6 +46,7 @@ class Tuning(NamedTuple):
     wish: Wish
     friction: FrictionConfig
     by_notches: float | None = None  # times the integral action that is allowed without; None: no notch
+    response: ResponseRecord | None = None  # as commissioning measured it
 
     @property
     def gains(self) -> Gains:
@@ -207,6 +221,85 @@ def open_loop(axis: LinearAxis, gains: Gains, observer_nm_per_rev: float, hz: Fl
         known = estimator_response(axis.estimator, omega)
         plant = known.of_position_per_s / s * plant + known.of_command_rps_per_a / kt
     return np.asarray(controller * plant)
+
+
+def measured_figures(tuning: Tuning) -> list[Figure]:
+    """The response that commissioning measured, in motion and at rest, with its fits and what the notches make of it:
+    gain and phase, zooming together. None where it was not measured.
+    """
+    response = tuning.response
+    if response is None:
+        return []
+    hz = np.geomspace(response.frequency_hz[0], response.frequency_hz[-1], POINTS)
+    fitted = _fitted(response, response.damping_per_s, response.contact_per_s2, hz)
+    curves: list[tuple[str, Floats, Complexes, str, Dash]] = [("fit", hz, fitted, "blue", "solid")]
+    if tuning.axis.notches:
+        behind = fitted * notch_response(tuning.axis.notches, 2j * np.pi * hz, tuning.axis.period_s)
+        curves.append(("behind the notches", hz, behind, "purple", "dashdot"))
+    measured: list[tuple[str, ResponseRecord | RestRecord, str]] = [("in motion", response, "orange")]
+    at_rest = response.at_rest
+    if at_rest is not None:
+        held = at_rest.contacts[-1]
+        stuck = _fitted(response, held.damping_per_s, held.contact_per_s2, hz)
+        curves.append(("fit at rest", hz, stuck, "grey", "dashed"))
+        measured.append(("at rest", at_rest, "green"))
+    gain, phase = [], []
+    for name, points, colour in measured:
+        used = np.array(points.coherence) >= LEAST_COHERENCE
+        places = np.array(points.frequency_hz)[used]
+        gain.append(Series(name, places, np.array(points.gain_rps_per_a)[used], colour, "points"))
+        phase.append(Series(name, places, _turned(np.array(points.phase_deg)[used]), colour, "points"))
+    for name, places, values, colour, dash in curves:
+        gain.append(Series(name, places, np.abs(values), colour, dash=dash, weight=1.8))
+        phase.append(Series(name, places, _turned(np.degrees(np.angle(values))), colour, dash=dash, weight=1.8))
+    levels = [LevelLine(notch.frequency_hz, "notch", upright=True) for notch in tuning.axis.notches]
+    load = response.elastic
+    found = "no elastic load was found"
+    if load is not None:
+        levels.append(LevelLine(load.frequency_hz, "resonance", upright=True))
+        found = (
+            f"fit: {significant(100.0 * load.share, 2)} % of the inertia on a spring at "
+            f"{significant(load.frequency_hz)} Hz, damping ratio {significant(load.damping, 2)}, antiresonance at "
+            f"{significant(load.antiresonance_hz)} Hz"
+        )
+    elif response.fit_error is not None:
+        found = "neither one inertia nor a load on a spring fits it"
+    of_rest = "At rest it was not measured, or shows no contact."
+    if at_rest is not None and (contact := response.contact_nm_per_rev(tuning.axis.torque_constant_nm_per_a)):
+        of_rest = (
+            f"At rest, under {significant(at_rest.contacts[-1].current_a, 2)} A, friction holds the axis as a spring: "
+            f"{significant(contact[0])} to {significant(contact[1])} Nm/rev."
+        )
+    margins = tuning.design.margins_observer
+    return [
+        Figure(
+            name="response-gain", kind="xy", title="Measured response: gain", group="response", width="half",
+            caption=f"Points that repeat (coherence from {LEAST_COHERENCE:g} on); {found}. {of_rest}",
+            x=FREQUENCY, y=PlotAxis("gain", "rps/A", log=True), series=tuple(gain), levels=tuple(levels),
+        ),
+        Figure(
+            name="response-phase", kind="xy", title="Measured response: phase", group="response", width="half",
+            caption="With every delay between command and velocity. The open loop below is the controller times this "
+                    f"response: phase margin {significant(margins.phase_deg)}°, gain margin "
+                    f"{significant(margins.gain)} with L, crossover {significant(margins.crossover_hz)} Hz.",
+            x=FREQUENCY, y=PlotAxis("phase", "deg"), series=tuple(phase), levels=tuple(levels),
+        ),
+    ]  # fmt: skip
+
+
+def _fitted(response: ResponseRecord, damping_per_s: float, contact_per_s2: float, hz: Floats) -> Complexes:
+    """Velocity over current by the fit, rps/A. (n,)"""
+    s, load = 2j * np.pi * hz, response.elastic
+    elastic = RIGID if load is None else ElasticLoad(load.share, load.frequency_hz, load.damping)
+    late = np.exp(-s * (response.delay_s + response.hold_s))
+    moved = mechanics_nm_per_rps(1.0, elastic, s) + damping_per_s + contact_per_s2 / s
+    return np.asarray(response.gain_rps2_per_a * late / moved)
+
+
+def _turned(phase_deg: Floats) -> Floats:
+    """Without jumps, from between -180 and 180 degrees down. (n,)"""
+    turned = np.unwrap(phase_deg, period=360.0)
+    return np.asarray(turned - 360.0 * np.round(turned[:1] / 360.0)) if turned.size else turned
 
 
 def damping_figures(tuning: Tuning) -> list[Figure]:

@@ -16,7 +16,16 @@ from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import NotchSection, VelocitySection, VelocitySource, best_law
-from ..control.stability import RIGID, LinearAxis, linear_axis, loop_margins, stick_slip_rps, stuck_axes
+from ..control.stability import (
+    RIGID,
+    LinearAxis,
+    contact_nm_per_rev,
+    is_same_contact,
+    linear_axis,
+    loop_margins,
+    stick_slip_rps,
+    stuck_axes,
+)
 from ..documents import DocumentError, parse, read_text, up_to_date
 from ..identification.estimate_gain import (
     EstimateWorth,
@@ -100,7 +109,13 @@ def tune(
     found = design(axis, model.friction.attraction_nm_per_rev.value, wish, stuck_axes(axis, model, dead_band_rev))
     refuse_unstable(found, axis, wish, model)
     found = found._replace(
-        warnings=(*found.warnings, *undetermined(model), *outside_range(axis, model), *other_load(model, axis))
+        warnings=(
+            *found.warnings,
+            *undetermined(model),
+            *outside_range(axis, model),
+            *other_load(model, axis),
+            *other_contact(model, axis),
+        )
     )
     if longer_s > 0.0:
         text = (
@@ -152,6 +167,17 @@ def other_load(model: ModelFile, axis: LinearAxis) -> list[str]:
         f"the elasticity of the model has {100.0 * known.share:.2g} % of the inertia at {known.frequency_hz:.3g} Hz, "
         f"the response that commissioning measured {measured}: the response counts. Diagnose new recordings, or "
         "commission again if load or coupling have changed"
+    ]
+
+
+def other_contact(model: ModelFile, axis: LinearAxis) -> list[str]:
+    """A sentence where the contact of the model is not the one that was measured at rest."""
+    measured, known = axis.measured_contact_nm_per_rev, contact_nm_per_rev(model)
+    if measured is None or is_same_contact(measured, known):
+        return []
+    return [
+        f"at rest the model's friction holds the axis with {known[0]:.3g} to {known[1]:.3g} Nm/rev, commissioning "
+        f"measured {measured[0]:.3g} to {measured[1]:.3g}: the measured one counts. Identify again with slow reversals"
     ]
 
 

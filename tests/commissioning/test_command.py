@@ -116,13 +116,13 @@ NOT = {name: not_done(name, "not done: torque_sign failed") for name in list(CHE
 @pytest.mark.parametrize(
     ("found", "verdict", "what_next"),
     [
-        (checks(), "passed: all 18 checks are ok", "commissioning: record.yaml"),
-        (checks(delay=OFF), "passed, with a warning from 1 of 18 checks: delay", "commissioning: record.yaml"),
+        (checks(), "passed: all 19 checks are ok", "commissioning: record.yaml"),
+        (checks(delay=OFF), "passed, with a warning from 1 of 19 checks: delay", "commissioning: record.yaml"),
         (
             checks(torque_sign=WRONG, **NOT), "not passed: torque_sign: the shaft turns backwards", "swap two phases",
         ),
         (
-            checks(**NOT), "not passed: 13 of 18 checks were not done: not done: torque_sign failed",
+            checks(**NOT), "not passed: 14 of 19 checks were not done: not done: torque_sign failed",
             "remove the cause, and commission again",
         ),
     ],
@@ -191,7 +191,7 @@ def test_commissioning_as_a_function_prints_nothing_and_returns_what_it_wrote(tm
         bounds_of(plan, current_a=99.0)
 
 
-MOTIONS = ["motion", "counts_per_rev", "current_limit", "speed_limit", "position_window", "resonance"]
+MOTIONS = ["motion", "counts_per_rev", "current_limit", "speed_limit", "position_window", "resonance", "contact"]
 
 
 @pytest.mark.slow
@@ -219,5 +219,5 @@ def test_what_nobody_agrees_to_is_not_made_and_no_record_is_written(tmp_path, re
         )  # fmt: skip
     assert ("nothing was moved" in str(error.value)) == (refused == "motion")
     assert set(seen) == set(CHECKS)
-    assert (seen["standstill"], seen[refused], seen["resonance"]) == ("ok", "not_done", "not_done")
+    assert (seen["standstill"], seen[refused], seen["contact"]) == ("ok", "not_done", "not_done")
     assert not out.exists()

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fffo_drive.control.stability import (
     ElasticLoad,
     LinearAxis,
+    MeasuredResponse,
     _unwrapped,
     condition_14_nm_per_rev,
     impedance_nm_per_rps,
@@ -210,3 +211,14 @@ def test_the_phase_without_jumps_is_that_of_numpy_to_the_bit(steps):
     np.testing.assert_array_equal(_unwrapped(values), np.unwrap(np.angle(values)))
     real = np.where(np.array(steps) > 0.0, 1.0 + 0.0j, -1.0 + 0.0j)  # steps of half a turn, either way
     np.testing.assert_array_equal(_unwrapped(real), np.unwrap(np.angle(real)))
+
+
+def test_a_degree_of_error_in_a_measured_response_is_a_degree_at_rest():
+    stuck = PAPER._replace(contact_nm_per_rev=21.8)
+    gains = 0.5, 5.0, 0.0
+    found = loop_margins(stuck, *gains)
+    frequencies_hz = tuple(np.geomspace(5.0, 400.0, 50).tolist())
+    for degrees in (-1.0, 1.0):
+        ratio = (complex(np.exp(1j * np.radians(degrees))),) * len(frequencies_hz)
+        off = loop_margins(stuck._replace(measured=MeasuredResponse(frequencies_hz, ratio)), *gains)
+        assert off.phase_deg == pytest.approx(found.phase_deg - degrees, abs=0.1)

@@ -12,6 +12,8 @@ from report.test_page import LARGEST_PAGE_BYTES, outline
 
 import fffo_drive as fd
 from fffo_drive.cli import main
+from fffo_drive.commissioning.record import ContactRecord, ElasticRecord, ResponseRecord, RestRecord, SwingRecord
+from fffo_drive.control.notch import Notch
 from fffo_drive.control.stability import RIGID, linear_axis, loop_margins
 from fffo_drive.control.velocity_estimator import estimator_config
 from fffo_drive.documents import DocumentError
@@ -21,7 +23,7 @@ from fffo_drive.report.document import ReportFile
 from fffo_drive.report.page import render_page, write_report
 from fffo_drive.report.static import write_figures
 from fffo_drive.report.tune import TuneSource, tune_report
-from fffo_drive.report.tune_figures import Tuning, open_loop
+from fffo_drive.report.tune_figures import Tuning, measured_figures, open_loop
 from fffo_drive.workflows.tune import Tuned, summarise
 
 PERIOD_S = 0.0005
@@ -255,3 +257,41 @@ def test_a_wish_that_is_no_number_above_zero_makes_no_gains(key, value, tmp_path
     if key in ("bandwidth_hz", "rate_hz"):
         with pytest.raises(DocumentError, match=f"{key}: {value}"):
             fd.tune(read_model(TABLE_1), **{key: float(value)})
+
+
+def test_the_measured_response_is_on_the_page_with_its_points_its_fits_and_what_the_notches_leave(report):
+    tuning, page = report
+    assert not any(figure.name.startswith("response") for figure in page.figures)  # it was not measured
+    hz = np.geomspace(10.0, 400.0, 60)
+    load = ElasticRecord(
+        share=0.35, share_sd=0.01, frequency_hz=110.0, frequency_sd_hz=0.1, damping=0.03, damping_sd=0.001
+    )
+    contact = ContactRecord(
+        current_a=0.02, travel_rev=1e-3, contact_per_s2=2.5e4, contact_sd_per_s2=1e2, damping_per_s=30.0
+    )
+    points = {
+        "frequency_hz": hz.tolist(),
+        "gain_rps_per_a": (25.0 / hz).tolist(),
+        "phase_deg": (-90.0 - hz).tolist(),
+        "coherence": np.where(hz < 300.0, 0.99, 0.5).tolist(),
+    }
+    swing = dict.fromkeys(SwingRecord.model_fields, 1.0)
+    response = ResponseRecord(
+        swing=SwingRecord(**swing), **points, gain_rps2_per_a=157.0, delay_s=0.0027, hold_s=0.00025, damping_per_s=1.0,
+        contact_per_s2=0.0, evidence=100.0, elastic=load,
+        at_rest=RestRecord(**points, contacts=[contact, contact.model_copy(update={"current_a": 0.14})]),
+    )  # fmt: skip
+    axis = tuning.axis._replace(notches=(Notch(95.0, 1.0, 0.2),))
+    gain, phase = measured_figures(tuning._replace(axis=axis, response=response))
+    by_name = {series.name: series for series in gain.series}
+    assert set(by_name) == {"in motion", "at rest", "fit", "fit at rest", "behind the notches"}
+    assert [series.name for series in phase.series] == list(by_name)
+    assert by_name["in motion"].y.size == np.sum(hz < 300.0)  # what repeats
+    fit, behind = by_name["fit"], by_name["behind the notches"]
+    assert np.array(fit.x)[np.argmin(fit.y)] == pytest.approx(load.antiresonance_hz, rel=0.02)
+    assert float(np.min(behind.y / fit.y)) == pytest.approx(0.2, abs=0.02)
+    held = by_name["fit at rest"]
+    assert np.array(held.x)[np.argmax(held.y)] == pytest.approx(np.sqrt(2.5e4) / (2.0 * np.pi), rel=0.1)
+    assert {level.label for level in gain.levels} == {"notch", "resonance"}
+    assert "35 % of the inertia on a spring at 110 Hz" in gain.caption
+    assert "phase margin" in phase.caption
