@@ -157,8 +157,8 @@ class World:
         beyond_s, wrong = 0.0, []
         with shown(attack) as progress:
             for number in range(count):
-                self.enabled()
                 try:
+                    self.enabled()
                     found = race(number)
                 except (CallError, ShaftError) as error:
                     stop = (self.client.call("status")["last_stop"] or {"text": "no stop"})["text"]

@@ -81,12 +81,12 @@ class ShaftOnBus(BusListener):
     def between(self, begin_ns: int, end_ns: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         """(times in ns, positions in rev) of what was sent in between, shape (n,) each; waits until all is heard.
 
-        Raises RuntimeError where the drive sends nothing any more.
+        Raises ShaftError where the drive sends nothing any more.
         """
         deadline_s = time.monotonic() + PATIENCE_S
         while not self._heard or self._time_ns[(self._heard - 1) % KEPT] < end_ns:
             if time.monotonic() > deadline_s:
-                raise RuntimeError("the drive sends nothing on the bus")
+                raise ShaftError("the drive sends nothing on the bus")
             time.sleep(0.001)
         return self.heard_between(begin_ns, end_ns)
 
