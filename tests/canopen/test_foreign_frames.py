@@ -132,6 +132,19 @@ def test_a_drive_that_answers_many_syncs_late_and_at_once_owes_them(bench):  # n
     assert (bench.count("duplicate_feedback"), bench.count("foreign_frames")) == (0, 0)
 
 
+def test_a_drive_that_catches_up_for_longer_than_a_loss_is_remembered_is_nobody_else(bench):  # noqa: F811
+    """It slept for 200 ms, and makes up for them with two answers a tick."""
+    for _ in range(8 * LOST_TICKS):
+        bench.sync()
+        bench.receive()
+    for late in [2] * 8 * LOST_TICKS + [1] * LOST_TICKS:
+        bench.sync()
+        for _ in range(late):
+            bench.motion()
+        bench.receive()
+    assert (bench.count("duplicate_feedback"), bench.count("foreign_frames")) == (0, 0)
+
+
 def test_an_answer_that_was_lost_is_owed_no_longer_once_the_drive_answers_again(bench):  # noqa: F811
     for _ in range(SECOND_BURST):
         bench.sync()

@@ -10,7 +10,7 @@ Assignment of answers to SYNCs. A TPDO carries no number, so the rule is:
   always more than a whole period late cannot be distinguished from one that is in time: see turnaround_ns of the row
   for that.
 - A drive owes one answer for each SYNC, however late. A second answer to one SYNC with none owed is a repeated frame,
-  or somebody else's. After LOST_TICKS in a row that were answered, what is still owed was lost.
+  or somebody else's. After LOST_TICKS in a row that were answered once, what is still owed was lost.
 
 Nothing is sent while the bus is off: no command may go out late. The bus is back with an error frame "restarted", a
 frame from the bus, or, after a lost interface, a frame that the kernel accepts. The first frame then is a command
@@ -108,7 +108,8 @@ def _sync(port: CanopenPort, tick: int) -> int:
         drained += 1
         take_frame(port, tick - 1, False)
     memory[AMBIGUOUS] = 1 if memory[ANSWERED] & memory[EXPECTED] != memory[EXPECTED] else 0
-    memory[IN_TIME_TICKS] = memory[IN_TIME_TICKS] + 1 if memory[AMBIGUOUS] == 0 else 0
+    single = memory[AMBIGUOUS] == 0 and memory[ANSWERED_TWICE] == 0  # a drive that answers twice is catching up
+    memory[IN_TIME_TICKS] = memory[IN_TIME_TICKS] + 1 if single else 0
     if memory[IN_TIME_TICKS] > LOST_TICKS:
         memory[OWED] = 0
     memory[ANSWERED] = 0
