@@ -7,7 +7,6 @@ makes the same motion twice, second by second: what differs is noise, and, at lo
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import welch
 
 from ..arrays import Floats
 from .record import NoiseRecord
@@ -37,6 +36,8 @@ def noise_record(sweeps: Sweeps) -> NoiseRecord:
 
 def _density(pairs: Floats, period_s: float) -> Floats:
     """One-sided density of the noise in each of (runs, pairs, samples), by Welch's method."""
+    from scipy.signal import welch  # loads slowly
+
     difference = np.diff(pairs, axis=1) / np.sqrt(2.0)
     found = welch(difference, 1.0 / period_s, nperseg=round(SEGMENT_S / period_s), detrend="constant")[1]
     return np.asarray(found.mean(axis=(0, 1)))

@@ -133,7 +133,9 @@ def test_the_chain_in_one_process_writes_what_the_typed_commands_write(
     processes.tune()
     for name in ("axis.yaml", "axis.commissioning.yaml", "model/model.yaml", "tuned/axis.yaml"):
         assert (made.place / name).read_bytes() == (typed.place / name).read_bytes(), name
-    assert processes.warnings
+    told = len(made.warnings)
+    made.tune()
+    assert processes.warnings == made.warnings[told:]
     section = yaml.safe_load((typed.place / "tuned" / "controller.yaml").read_text())["controller"]
     whole = yaml.safe_load(made.tuned.read_text())["controller"]
     assert formats.over(whole, section) == whole
