@@ -472,7 +472,7 @@ def test_a_simulated_drive_is_started_and_its_axis_commissioned_with_a_question_
         assert "nothing was moved, and no record was written" in " ".join(shown.job["output"])
         assert not record.exists()
 
-        shown.until("document.querySelector('#checks-verdict').textContent.includes('17 not done')")
+        shown.until("document.querySelector('#checks-verdict').textContent.includes('18 not done')")
 
         for _ in range(MOST_LAPSES):  # a machine that keeps no time measures another axis: once more, as a user would
             begun = shown.jobs() + 1
