@@ -153,13 +153,18 @@ class ContactRecord(StrictRecord):
     damping_per_s: Annotated[float, Field(description="friction over the inertia")]
 
 
-class RestRecord(StrictRecord):
-    """Velocity over current of the axis at rest under the largest of its sweeps, and its contact under each of them."""
+class ResponsePoints(StrictRecord):
+    """A measured response of velocity to current."""
 
     frequency_hz: Annotated[list[float], Field(description="rising")]
     gain_rps_per_a: Annotated[list[float], Field(description="velocity over current")]
     phase_deg: Annotated[list[float], Field(description="of velocity behind current, with every delay between them")]
     coherence: Annotated[list[float], Field(description="share of the answer that repeats with the sweep")]
+
+
+class RestRecord(ResponsePoints):
+    """The response of the axis at rest to the largest of its sweeps, and its contact under each of them."""
+
     contacts: Annotated[list[ContactRecord], Field(min_length=2, description="by rising amplitude")]
 
     @property
@@ -176,14 +181,10 @@ class RestRecord(StrictRecord):
         return softest, stiffest + falls * first.current_a
 
 
-class ResponseRecord(StrictRecord):
+class ResponseRecord(ResponsePoints):
     """Velocity over current of the sliding axis, from the command to the drive's own velocity, and the fit to it."""
 
     swing: SwingRecord
-    frequency_hz: Annotated[list[float], Field(description="rising")]
-    gain_rps_per_a: Annotated[list[float], Field(description="velocity over current")]
-    phase_deg: Annotated[list[float], Field(description="of velocity behind current, with every delay between them")]
-    coherence: Annotated[list[float], Field(description="share of the answer that repeats with the sweep")]
     gain_rps2_per_a: Annotated[float, Field(description="Kt/J of motor and load")]
     delay_s: Annotated[float, Field(description="from a command to the velocity that shows it, without the hold")]
     hold_s: Annotated[float, Field(description="half a period: a command is held that long on average")]

@@ -11,7 +11,7 @@ that loop has little left to do.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -308,14 +308,7 @@ class RestSweeps:
         """The response to the largest of them; None where fewer than two amplitudes show a contact."""
         if self._last is None or len(self.contacts) < 2:
             return None
-        frequency_hz, response, coherence = _thinned(*self._last)
-        return RestRecord(
-            frequency_hz=[_digits(value) for value in frequency_hz],
-            gain_rps_per_a=[_digits(value) for value in np.abs(response)],
-            phase_deg=[_digits(value) for value in np.degrees(np.unwrap(np.angle(response)))],
-            coherence=[_digits(value) for value in coherence],
-            contacts=self.contacts,
-        )
+        return RestRecord(**_points(*self._last), contacts=self.contacts)
 
 
 def _ticks(motion: PulseMotion, samples: Integers) -> tuple[Floats, Floats, Floats]:
@@ -335,7 +328,6 @@ def response_record(sweeps: Sweeps) -> ResponseRecord:
     """The response to all sweeps, the fit to it, and how the axis moved."""
     lines = sweeps.lines()
     fit = sweeps.fitted = fit_sweep(lines, sweeps.delay_s)
-    frequency_hz, response, coherence = _thinned(lines, fit)
     elastic, sd = fit.elastic, fit.elastic_sd
     found = None
     if elastic != RIGID:
@@ -359,10 +351,7 @@ def response_record(sweeps: Sweeps) -> ResponseRecord:
             largest_rps=_digits(max(abs(extreme(motion.velocity_rps)) for motion in sweeps.measured)),
             travel_rev=_digits(float(np.ptp(position_rev))),
         ),
-        frequency_hz=[_digits(value) for value in frequency_hz],
-        gain_rps_per_a=[_digits(value) for value in np.abs(response)],
-        phase_deg=[_digits(value) for value in np.degrees(np.unwrap(np.angle(response)))],
-        coherence=[_digits(value) for value in coherence],
+        **_points(lines, fit),
         gain_rps2_per_a=_digits(fit.gain_rps2_per_a),
         delay_s=_digits(fit.delay_s - hold_s),
         hold_s=hold_s,
@@ -376,6 +365,17 @@ def response_record(sweeps: Sweeps) -> ResponseRecord:
 
 def _digits(value: float) -> float:
     return float(f"{value:.5g}")
+
+
+def _points(lines: SweepLines, fit: SweepFit | ContactFit) -> dict[str, Any]:
+    """The fields of ResponsePoints."""
+    frequency_hz, response, coherence = _thinned(lines, fit)
+    return {
+        "frequency_hz": [_digits(value) for value in frequency_hz],
+        "gain_rps_per_a": [_digits(value) for value in np.abs(response)],
+        "phase_deg": [_digits(value) for value in np.degrees(np.unwrap(np.angle(response)))],
+        "coherence": [_digits(value) for value in coherence],
+    }
 
 
 def _thinned(lines: SweepLines, fit: SweepFit | ContactFit) -> tuple[Floats, Complexes, Floats]:

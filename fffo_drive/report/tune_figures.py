@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..commissioning.record import ResponseRecord, RestRecord
+from ..commissioning.record import ResponsePoints, ResponseRecord
 from ..control.stability import (
     RIGID,
     Complexes,
@@ -21,6 +21,7 @@ from ..control.stability import (
     notch_response,
 )
 from ..control.velocity_estimator import estimator_response
+from ..identification.sweep_response import SURE_COHERENCE
 from ..identification.tuning import Design, Gains, Wish, dampings_around, root_locus, step_response
 from ..model.friction import FrictionConfig
 from .document import significant
@@ -35,7 +36,6 @@ LAST_TURN = 0.5  # turns of phase that the delay takes at the end of the figure
 BEYOND_RESONANCE = 1.5  # of a resonance, the figure ends
 DAMPINGS = 81
 SHORTEST_STEP_S = 0.15
-LEAST_COHERENCE = 0.8  # of points that are drawn
 
 
 class Tuning(NamedTuple):
@@ -236,7 +236,7 @@ def measured_figures(tuning: Tuning) -> list[Figure]:
     if tuning.axis.notches:
         behind = fitted * notch_response(tuning.axis.notches, 2j * np.pi * hz, tuning.axis.period_s)
         curves.append(("behind the notches", hz, behind, "purple", "dashdot"))
-    measured: list[tuple[str, ResponseRecord | RestRecord, str]] = [("in motion", response, "orange")]
+    measured: list[tuple[str, ResponsePoints, str]] = [("in motion", response, "orange")]
     at_rest = response.at_rest
     if at_rest is not None:
         held = at_rest.contacts[-1]
@@ -245,7 +245,7 @@ def measured_figures(tuning: Tuning) -> list[Figure]:
         measured.append(("at rest", at_rest, "green"))
     gain, phase = [], []
     for name, points, colour in measured:
-        used = np.array(points.coherence) >= LEAST_COHERENCE
+        used = np.array(points.coherence) > SURE_COHERENCE
         places = np.array(points.frequency_hz)[used]
         gain.append(Series(name, places, np.array(points.gain_rps_per_a)[used], colour, "points"))
         phase.append(Series(name, places, _turned(np.array(points.phase_deg)[used]), colour, "points"))
@@ -274,7 +274,7 @@ def measured_figures(tuning: Tuning) -> list[Figure]:
     return [
         Figure(
             name="response-gain", kind="xy", title="Measured response: gain", group="response", width="half",
-            caption=f"Points that repeat (coherence from {LEAST_COHERENCE:g} on); {found}. {of_rest}",
+            caption=f"Points that repeat (coherence above {SURE_COHERENCE:g}); {found}. {of_rest}",
             x=FREQUENCY, y=PlotAxis("gain", "rps/A", log=True), series=tuple(gain), levels=tuple(levels),
         ),
         Figure(
