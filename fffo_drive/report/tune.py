@@ -145,24 +145,24 @@ def estimate_text(worth: EstimateWorth) -> str:
         if not worth.gains:
             return f"a velocity estimated from position and torque would gain little: {allowed}"
         return (
-            f"with the velocity estimated from position and torque {allowed}, which leaves {left} % of the squared "
-            "error that friction outside the model makes. Whether its noise is worth that, no record of this axis "
-            f"says (by the counts of the position alone, steps of {step} A rms in the command): run `fffo-drive "
-            "commission`, and `tune` decides; or tune with --velocity estimated"
+            f"with the velocity estimated from position and torque {allowed}, and {left} % of the squared error by "
+            "friction outside the model would remain. Whether its noise is worth that is not known: no record of this "
+            f"axis has it (the counts of the position alone make steps of {step} A rms in the command). Run "
+            "`fffo-drive commission`, and `tune` decides; or tune with --velocity estimated"
         )
-    squared = f"{left} % of the squared error that friction outside the model and the measured noise make"
+    error = "the squared error by friction outside the model and by the measured noise"
     steps = (
-        f"noise makes steps of {step} A rms in the command, with the drive's velocity "
+        f"Noise makes steps of {step} A rms in the command, with the drive's velocity "
         f"{significant(worth.drive_step_a, 2)} A"
     )
     if not worth.gains:
         return (
-            "the error takes the drive's velocity: one estimated from position and torque would leave "
-            f"{squared}; {steps}. To take it all the same, tune with --velocity estimated"
+            f"the error takes the drive's velocity: with the estimated one {left} % of {error} would remain. {steps}. "
+            "To take the estimate all the same, tune with --velocity estimated"
         )
     return (
-        f"the error takes the velocity estimated from position and torque: {allowed}, which leaves {squared}; {steps}. "
-        "To stay with the drive's, tune with --velocity drive"
+        f"the error takes the velocity estimated from position and torque: {allowed}, and {left} % of {error} remains. "
+        f"{steps}. To keep the drive's velocity, tune with --velocity drive"
     )
 
 

@@ -15,7 +15,7 @@ from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
 from ..config.drive_profile import profile_path, shipped_profiles
-from ..config.sections import NotchSection, VelocitySection, VelocitySource, best_law
+from ..config.sections import ControllerSection, VelocitySection, VelocitySource, best_law
 from ..control.stability import (
     RIGID,
     LinearAxis,
@@ -47,7 +47,7 @@ from ..identification.tuning import (
 )
 from ..identification.uncertainty import ADVICE, UNKNOWN_SD
 from ..model.parameters import ModelFile
-from ..units import inertia_kg_m2
+from ..units import NORMAL_95, inertia_kg_m2
 
 LOCUS_POINTS = 61
 STEP_S = 0.4
@@ -117,7 +117,7 @@ def tune(
             *other_contact(model, axis),
         )
     )
-    if longer_s > 0.0:
+    if longer_s > NORMAL_95 * (model.delay_s.sd or 0.0):  # beyond the model's own interval
         text = (
             f"designed for the delay that commissioning measured, {1e3 * longer_s:.2f} ms longer than the model's "
             f"{1e3 * model.delay_s.value:.2f} ms"
@@ -234,29 +234,19 @@ def with_velocity(axis_file: AxisFile, source: VelocitySource) -> AxisFile:
 def _on_the_estimate(axis_file: AxisFile, model: ModelFile, wish: Wish, commissioned: Commissioned) -> Tuned | None:
     """The tuning on the estimated velocity; None where the axis cannot have it."""
     other = with_velocity(axis_file, "estimated")
-    estimated = other.controller
     if velocity_problems(other, model):
         return None
     try:
         tuned = tune(model, loop_axis(other, model), wish, commissioned, hold_dead_band_rev(axis_file))
     except DocumentError:
         return None
-    gains = tuned.design.gains
-    estimated = estimated.model_copy(
-        update={
-            "proportional_a_per_rps": gains.proportional_a_per_rps,
-            "integral_a_per_rev": gains.integral_a_per_rev,
-            "notches": [NotchSection(**notch._asdict()) for notch in tuned.axis.notches],
-            "observer": estimated.observer.model_copy(update={"gain_nm_per_rev": gains.observer_nm_per_rev}),
-            "at_rest": estimated.at_rest.model_copy(
-                update={"gain_share": gains.rest_share, "hold_a_per_rev_s": gains.hold_a_per_rev_s}
-            ),
-        }
-    )
-    other = other.model_copy(update={"controller": estimated})
+    controller = other.controller
+    tuned = tuned._replace(velocity=controller.velocity)
+    written = formats.over(controller.model_dump(), tuned.section(controller.current_limit_a))
+    other = other.model_copy(update={"controller": ControllerSection.model_validate(written)})
     if velocity_problems(other, model) or fallback_problems(other, model, observer_on=True):
         return None
-    return tuned._replace(velocity=estimated.velocity)
+    return tuned
 
 
 def _worth(
@@ -264,28 +254,21 @@ def _worth(
 ) -> EstimateWorth:
     """What the estimate gains: of what friction outside the model leaves, and of the sensor's noise where known."""
     kt, period_s = model.torque_constant_nm_per_a, axis_file.loop.period_s
-    both = (own, other)
-    squared = [squared_error_of_a_step(one.axis, one.design.gains) for one in both]
-    counts = white_position(hold_dead_band_rev(axis_file) / math.sqrt(12.0), period_s)
-    step_a = noise_in_loop(other.axis, other.design.gains, counts, period_s).step_a
-    drive_step_a = None
-    if commissioned.noise is not None:
-        measured = commissioned.noise
-        frequency_hz = np.array(measured.frequency_hz)
-        noises = (
-            Noise(frequency_hz, np.array(measured.velocity_rps2_per_hz)),
-            Noise(frequency_hz, np.array(measured.position_rev2_per_hz), of_position=True),
-        )
-        in_loop = [
-            noise_in_loop(one.axis, one.design.gains, noise, period_s) for one, noise in zip(both, noises, strict=True)
-        ]
-        drive_step_a, step_a = (one.step_a for one in in_loop)
-        step_nm = 2.0 * FRICTION_ERROR_SHARE * model.friction.coulomb_nm.value
-        squared = [
-            REVERSALS_PER_S * step_nm**2 * one + noise.shaft_rps2 for one, noise in zip(squared, in_loop, strict=True)
-        ]
-    actions = [one.design.gains.integral_action_nm_per_rev(kt) for one in both]
-    return EstimateWorth(actions[1] / actions[0], squared[1] / squared[0], step_a, drive_step_a)
+    laws = [(one.axis, one.design.gains) for one in (own, other)]
+    actions = [gains.integral_action_nm_per_rev(kt) for _, gains in laws]
+    squared = [squared_error_of_a_step(*law) for law in laws]
+    noise = commissioned.noise
+    if noise is None:
+        counts = white_position(hold_dead_band_rev(axis_file) / math.sqrt(12.0), period_s)
+        step_a = noise_in_loop(*laws[1], counts, period_s).step_a
+        return EstimateWorth(actions[1] / actions[0], squared[1] / squared[0], step_a, None)
+    frequency_hz = np.array(noise.frequency_hz)
+    drive = noise_in_loop(*laws[0], Noise(frequency_hz, np.array(noise.velocity_rps2_per_hz)), period_s)
+    position = Noise(frequency_hz, np.array(noise.position_rev2_per_hz), of_position=True)
+    estimate = noise_in_loop(*laws[1], position, period_s)
+    per_s = REVERSALS_PER_S * (2.0 * FRICTION_ERROR_SHARE * model.friction.coulomb_nm.value) ** 2
+    error_ratio = (per_s * squared[1] + estimate.shaft_rps2) / (per_s * squared[0] + drive.shaft_rps2)
+    return EstimateWorth(actions[1] / actions[0], error_ratio, estimate.step_a, drive.step_a)
 
 
 def undetermined(model: ModelFile) -> list[str]:
