@@ -17,8 +17,9 @@ enable, start, reset_fault
 stop, disable, quick_stop
             {"state": ..., "reached": ..., "epoch": ..., "velocity_rps": measured, "at_rest": ...}: what is seen when it
             is answered; both null while nothing is measured. Accepted in every state. With wait_s the answer comes once
-            the axis is at rest by measurement (or without torque, where nothing is measured), or as error -32004. With
-            wait_s 0 it comes at once, and `reached` is true only for an axis at rest. A stop latches, see below
+            the axis is at rest by measurement (offline and in fault, where nothing may be measured, without it), or as
+            error -32004. With wait_s 0 it comes at once, and `reached` is true only for an axis at rest. A stop
+            latches, see below
 jog, velocity, step
             {"state": ..., "set_point": number, "to_rps": ..., "latency_s": ..., "renew_within_s": ... or null,
             "epoch": ...}: the reference begins to change latency_s later (feed-forward's preview), within the bounds of
@@ -67,7 +68,7 @@ from . import set_points, settings
 from .profiles import chosen_profile
 from .record_keeper import Sources
 from .rpc import BAD_DOCUMENT, NOT_REACHED, REFUSED, RpcError
-from .states import AT_REST, WANTING_TORQUE, Change, RefusedError, State, StateEvent, require_change
+from .states import AT_REST, UNMEASURED, WANTING_TORQUE, Change, RefusedError, State, StateEvent, require_change
 from .status import info_of, status_of
 from .supervisor import NEVER_S, Supervisor
 from .worker import Worker
@@ -385,8 +386,8 @@ class Api:
 
         def seen() -> dict[str, Any]:
             shaft = supervisor.shaft
-            # nothing is measured: without torque there is nothing either that could be waited for
-            stands = supervisor.state in AT_REST if shaft is None else shaft.at_rest
+            # connected, a drive that is silent for a moment is measured again or lost soon: nobody is told before that
+            stands = supervisor.state in UNMEASURED if shaft is None else shaft.at_rest
             measured = {"velocity_rps": None, "at_rest": None} if shaft is None else shaft._asdict()
             return {**self._now(supervisor.state in there and stands), **measured}
 

@@ -242,6 +242,7 @@ TABLE: dict[tuple[State, StateEvent], StateTransition] = {
 TORQUE_STATES = frozenset({State.ENABLED, State.PREPARING, State.RUNNING, State.FOLLOWING, State.STOPPING})
 WANTING_TORQUE = TORQUE_STATES - {State.STOPPING}
 AT_REST = frozenset(State) - TORQUE_STATES
+UNMEASURED = frozenset({State.OFFLINE, State.FAULT})  # a drive or loop that goes in another state ends in one of these
 
 
 class Change(StrEnum):
