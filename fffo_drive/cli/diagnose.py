@@ -34,6 +34,7 @@ from ..identification.dataset import Record
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
 from ..model.effects.laws.lookup import KindWord
+from ..report.cause_words import in_words
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
 from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
@@ -149,6 +150,10 @@ def searched_names() -> list[str]:
 def _print(found: Diagnosis) -> None:
     words = words_of(found)
     print(found.headline)
+    places = (("held-out runs", found.before, found.after), ("fitted runs", found.fit_before, found.fit_after))
+    for place, before, after in places:
+        if before is not None and after is not None:
+            print(f"  {place}: {_errors(before, after, words)}")
     for finding in found.findings:
         if not finding.accepted:
             continue
@@ -160,21 +165,14 @@ def _print(found: Diagnosis) -> None:
         )
         share = 100.0 * finding.explained_fraction
         chance = finding.false_alarm_probability
-        print(
-            f"  {finding.name}{family}: {share:.0f} % of the squared residual that the other effects leave, p "
-            f"{chance:.2g}; "
-            f"{numbers}"
-        )
+        print(f"  {finding.name}{family}: {in_words(finding, found.model_after or found.model_before, words)}")
+        print(f"    {share:.0f} % of the squared residual that the other effects leave, p {chance:.2g}; {numbers}")
         if unproven(finding):
             print("    it does not lower the error on the held-out runs")
         if finding.doubt:
             print(f"    in doubt: {words.text(finding.doubt)}")
         if finding.alternatives:
             print(f"    what would decide: {finding.experiment} (fffo-drive run AXIS --decide {finding.name})")
-    places = (("held-out runs", found.before, found.after), ("fitted runs", found.fit_before, found.fit_after))
-    for place, before, after in places:
-        if before is not None and after is not None:
-            print(f"  {place}: {_errors(before, after, words)}")
     remarks = [remark.text for remark in found.runs_look.remarks] if found.runs_look is not None else []
     for remark in remarks:
         print(f"  runs: {remark}")

@@ -119,6 +119,10 @@ def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, flo
     folded = law.fold(law.filled(shapes))
     if folded is not None:
         signal, period = folded
+        if law.wave == "plain" and law.picture == "output_angle":  # in one piece, where a joint makes no whole turn
+            turns = rows.position_rev / period
+            whole = float(np.ptp(turns)) > 1.0
+            return _Place(np.mod(turns, 1.0) if whole else turns, "angle of the output", "turns")
         along, words, unit = {
             "motor_angle": (rows.position_rev, "motor angle", "rev"), "time": (rows.time_s, "time", "s"),
         }[signal]  # fmt: skip

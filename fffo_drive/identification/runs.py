@@ -17,6 +17,7 @@ import numpy as np
 
 from ..arrays import Floats
 from ..least_squares import least_squares, sums_by
+from ..units import unit_in
 from .criterion import BLOCK_S, SHORTEST_BLOCK_S
 from .dataset import DataError, Record
 from .kinematics import DEFAULT_CUTOFF_HZ
@@ -191,10 +192,10 @@ def _compared(looks: Sequence[RunLook]) -> list[Remark]:
 def _contradiction(name: str, known: Sequence[tuple[RunLook, Estimate]], first: int, last: int, z: float) -> Remark:
     (low, least), (high, most) = known[first], known[last]
     text = (
-        f"{low.name} and {high.name} contradict each other: {WORDS[name]} {least.value:.4g} and {most.value:.4g} "
-        f"({z:.0f} standard deviations). One model cannot hold for both: a payload, a temperature or a setting changed "
-        "between them, or they moved in unlike ways that the model does not describe. Fit them apart, or repeat both "
-        "with the same motion"
+        f"{low.name} and {high.name} contradict each other: {WORDS[name]} {least.value:.3g} and {most.value:.3g} "
+        f"{unit_in(name)} ({z:.0f} standard deviations). One model cannot hold for both: a payload, a temperature or a "
+        "setting changed between them, or they moved in unlike ways that the model does not describe. Fit them apart, "
+        "or repeat both with the same motion"
     )
     return Remark("contradiction", (name,), (low.name, high.name), text)
 
@@ -211,7 +212,7 @@ def _drift(name: str, known: Sequence[tuple[RunLook, Estimate]], scale: float) -
     if not (np.all(steps > np.hypot(sds[1:], sds[:-1])) or np.all(-steps > np.hypot(sds[1:], sds[:-1]))):
         return None
     text = (
-        f"{WORDS[name]} drifts from run to run, from {values[0]:.4g} to {values[-1]:.4g} "
+        f"{WORDS[name]} drifts from run to run, from {values[0]:.3g} to {values[-1]:.3g} {unit_in(name)} "
         f"({100.0 * (values[-1] - values[0]) / scale:+.0f} %) in {begins[-1] - begins[0]:.4g} s. Let the axis warm up "
         "and repeat the first run at the end: what recovers depends on the motion, what does not depends on time"
     )

@@ -54,12 +54,15 @@ class DiagnosisWords(NamedTuple):
 
 
 ROTARY = DiagnosisWords()
+STRONG = ROTARY._replace(small_torque="Nm", torque_scale=1.0)  # where errors are above 1 Nm
 LINEAR = DiagnosisWords("force", "N", "N", 1.0, "mm/s", linear=True)
 
 
 def words_of(diagnosis: Diagnosis) -> DiagnosisWords:
     """The words of the axis that was diagnosed."""
-    return LINEAR if diagnosis.units == "linear" else ROTARY
+    if diagnosis.units == "linear":
+        return LINEAR
+    return STRONG if diagnosis.fit_before.torque_rms_nm.value >= 1.0 else ROTARY
 
 
 def effect_figures(findings: Sequence[Finding], words: DiagnosisWords) -> tuple[Figure, ...]:

@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from ..diagnosis.results import Diagnosis, Finding, Rest
 from ..directories import as_typed
 from ..model.effects.registry import law_of
+from .cause_words import in_words, sized
 from .diagnose_figures import DiagnosisWords, words_of
 from .document import Confidence, Line, Verdict, significant
 
 SHOWN_NAMES = 3  # of further effects in the headline
+SHOWN_CAUSES = 3  # with a sentence each
 
 
 def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
@@ -40,19 +42,27 @@ def diagnosis_verdict(diagnosis: Diagnosis, model_path: str) -> Verdict:
 
 def _nothing_carries_over(diagnosis: Diagnosis) -> Verdict:
     return Verdict(
-        headline=diagnosis.headline, finding="nothing confirmed", confidence="certain",
-        next_step="keep the model in service", alarm=True,
+        headline=diagnosis.headline,
+        finding="nothing confirmed",
+        confidence="cannot tell",
+        next_step="keep the model in service",
+        alarm=True,
         lines=[
-            Line(label="How sure", text="What was found on the fitted runs does not lower the error of the "
-                                        "held-out runs."),
-            Line(label="Next", text="Keep the model in service. Record runs that are alike in load, temperature and "
-                                    "drive settings, and diagnose them again."),
+            Line(
+                label="How sure",
+                text="What was found on the fitted runs does not lower the error of the held-out runs.",
+            ),
+            Line(
+                label="Next",
+                text="Keep the model in service. Record runs that are alike in load, temperature and drive settings, "
+                "and diagnose them again.",
+            ),
         ],
-    )  # fmt: skip
+    )
 
 
 def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path: str, words: DiagnosisWords) -> Verdict:
-    """The first effect that the held-out runs show in five lines; the others by name."""
+    """How much is explained, then each effect that the held-out runs show in a sentence, what is left, what to do."""
     effects = lead_first(effects)
     shown = [finding for finding in effects if not unproven(finding)] or effects
     lead = shown[0]
@@ -69,12 +79,21 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
         confidence=_confidence(diagnosis, lead),
         next_step=step,
         lines=[
-            Line(label="Where", text=words.text(f"{_capital(lead.place)}.")),
-            Line(label="How big", text=_size(diagnosis, lead, words)),
-            Line(label="How sure", text=_surety(diagnosis, lead, words)),
+            Line(label="Explained", text=_explained(diagnosis, words)),
+            *(
+                Line(label=f"Cause {number}" if shown[1:] else "Cause", text=_told(diagnosis, finding, words))
+                for number, finding in enumerate(shown[:SHOWN_CAUSES], 1)
+            ),
+            *_unexplained(diagnosis, words),
             next_line.model_copy(update={"text": words.text(next_line.text)}),
         ],
     )
+
+
+def _told(diagnosis: Diagnosis, finding: Finding, words: DiagnosisWords) -> str:
+    """One cause: what it does and how much, and how sure that is."""
+    said = in_words(finding, diagnosis.model_after or diagnosis.model_before, words)
+    return f"{_capital(said)}. {_surety(diagnosis, finding, words)}"
 
 
 def _confidence(diagnosis: Diagnosis, lead: Finding) -> Confidence:
@@ -95,37 +114,37 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _size(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
-    rms = significant(words.torque_scale * lead.torque_rms_nm, 2)
-    text = f"{rms} {words.small_torque} rms, {significant(lead.strength_percent, 2)} % of the friction."
-    errors = [figures for figures in (diagnosis.before, diagnosis.after) if figures is not None]
-    where = "held-out runs" if len(errors) == 2 else "fitted runs"
-    old, new = errors if len(errors) == 2 else (diagnosis.fit_before, diagnosis.fit_after)
-    shares = [significant(figures.torque_relative_percent.value, 2) for figures in (old, new)]
-    text += f" With all findings the model's error on the {where} falls from {shares[0]} to {shares[1]} % of the "
-    text += f"{words.torque} that the axis needs."
-    return text + _short_rest(diagnosis.unexplained_rest, words)
+def _explained(diagnosis: Diagnosis, words: DiagnosisWords) -> str:
+    """By how much all that was found lowers the error."""
+    held_out = diagnosis.before is not None and diagnosis.after is not None
+    pair = (diagnosis.before, diagnosis.after) if held_out else (diagnosis.fit_before, diagnosis.fit_after)
+    old, new = (significant(one.torque_relative_percent.value, 2) if one is not None else "\u2013" for one in pair)
+    where = "held-out" if held_out else "fitted"
+    change = f"is {old} %" if old == new else f"goes from {old} to {new} %"
+    return f"The model's error on the {where} runs {change} of the {words.torque} that the axis needs."
 
 
-def _short_rest(rest: Rest | None, words: DiagnosisWords) -> str:
-    """The unexplained residual in short; the cautions have the full sentence."""
+def _unexplained(diagnosis: Diagnosis, words: DiagnosisWords) -> list[Line]:
+    """What is left, where a better model could reduce it; the cautions have the full sentence."""
+    rest = diagnosis.unexplained_rest
     if rest is None:
-        return ""
-    left, floor = (significant(words.torque_scale * value, 2) for value in (rest.rms_nm, rest.floor_nm))
-    unit = words.small_torque
-    return f" Unexplained: {left} {unit} rms, which a better model could reduce to {floor} {unit}."
+        return []
+    left, floor = (sized(value, words.torque_unit) for value in (rest.rms_nm, rest.floor_nm))
+    over = f"; it depends on {names_of([words.axis(axis) for axis in rest.axes])}" if rest.axes else ""
+    return [Line(label="Unexplained", text=f"{left} rms, which a better model could reduce to {floor}{over}.")]
 
 
-def _surety(diagnosis: Diagnosis, lead: Finding, words: DiagnosisWords) -> str:
-    chance = f"the probability that noise looks like this is {significant(lead.false_alarm_probability, 2)}"
-    if lead.alternatives:
-        members = " and ".join(dict.fromkeys(words.text(law_of(n).plain_name) for n in (lead.name, *lead.alternatives)))
+def _surety(diagnosis: Diagnosis, finding: Finding, words: DiagnosisWords) -> str:
+    chance = f"p = {significant(finding.false_alarm_probability, 2)}"
+    if finding.alternatives:
+        family = (finding.name, *finding.alternatives)
+        members = " and ".join(dict.fromkeys(words.text(law_of(name).plain_name) for name in family))
         return f"There is an effect ({chance}), but these runs do not separate {members}."
-    if lead.held_out_gain is None:
-        return f"Probable: {chance}, but no run was held out to confirm it."
-    if _confidence(diagnosis, lead) == "certain":
-        return f"Certain: {chance}, and held-out runs confirm it."
-    return f"Probable: {chance}; the held-out runs do not confirm it clearly."
+    if finding.held_out_gain is None:
+        return f"Probable ({chance}): no run was held out to confirm it."
+    if _confidence(diagnosis, finding) == "certain":
+        return f"Certain ({chance}): held-out runs confirm it."
+    return f"Probable ({chance}): the held-out runs do not confirm it clearly."
 
 
 def _next(lead: Finding, model_path: str, held_out: bool) -> tuple[str, Line]:
@@ -149,26 +168,23 @@ def _next(lead: Finding, model_path: str, held_out: bool) -> tuple[str, Line]:
 
 def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
     """No named effect: a form of the friction, nothing at all, or an unexplained residual."""
-    rest = diagnosis.unexplained_rest
-    errors = diagnosis.after or diagnosis.fit_after
-    share = significant(errors.torque_relative_percent.value, 2)
-    where = "fitted" if diagnosis.after is None else "held-out"
-    size = f"The model's error on the {where} runs is {share} % of the {words.torque} that the axis needs."
+    size = Line(label="Explained", text=_explained(diagnosis, words))
     if diagnosis.verdict == "unexplained":
-        axes = names_of([words.axis(axis) for axis in rest.axes]) if rest is not None else ""
-        lines = [Line(label="Where", text=f"It depends on {axes}.")] if axes else []
-        lines += [Line(label="How big", text=size + _short_rest(rest, words))]
-        lines += [
-            Line(label="How sure", text="There is a residual that none of the searched effects explains."),
-            Line(label="Next", text="See below what the residual depends on; a recording with slow, fast and "
-                                    "reversing motion separates more."),
-        ]  # fmt: skip
         return Verdict(
             headline=diagnosis.headline,
             finding="not explained",
             confidence="cannot tell",
             next_step="record more",
-            lines=lines,
+            lines=[
+                size,
+                *_unexplained(diagnosis, words),
+                Line(label="How sure", text="There is a residual that none of the searched effects explains."),
+                Line(
+                    label="Next",
+                    text="See below what the residual depends on; a recording with slow, fast and reversing motion "
+                    "separates more.",
+                ),
+            ],
         )
     confidence: Confidence = "probable" if diagnosis.before is None else "certain"
     step = "nothing to do" if diagnosis.before is not None else "hold a run out"
@@ -179,7 +195,7 @@ def _no_effect(diagnosis: Diagnosis, words: DiagnosisWords) -> Verdict:
         finding="nothing missing",
         confidence=confidence,
         next_step=step,
-        lines=[Line(label="How big", text=size), Line(label="How sure", text=sure), Line(label="Next", text=text)],
+        lines=[size, Line(label="How sure", text=sure), Line(label="Next", text=text)],
     )
 
 

@@ -24,7 +24,7 @@ from .figures import Figure
 
 VERSIONED = ("numpy", "numba", "scipy")
 
-MOST_LINES = 4  # below the headline: a page opens with at most five
+MOST_LINES = 6  # below the headline
 
 
 class Line(StrictRecord):

@@ -108,10 +108,13 @@ def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     assert report.verdict.headline == "The model lacks: cogging or torque ripple."
     assert (report.verdict.finding, report.verdict.confidence) == ("cogging or torque ripple", "cannot tell")
     lines = {line.label: line for line in report.verdict.lines}
-    assert list(lines) == ["Where", "How big", "How sure", "Next"]
-    assert lines["Where"].text == "12 waves in a motor turn."
-    assert lines["How big"].text.startswith("8.0 mNm rms, 17 % of the friction.")
-    assert "do not separate cogging and torque ripple" in lines["How sure"].text
+    assert list(lines) == ["Explained", "Cause", "Next"]
+    explained = "The model's error on the held-out runs goes from 5.2 to 2.1 % of the torque that the axis needs."
+    assert lines["Explained"].text == explained
+    assert lines["Cause"].text.startswith(
+        "8.0 mNm rms, torque that varies with the motor angle and keeps its sign. There "
+    )
+    assert lines["Cause"].text.endswith("(p = 0.0020), but these runs do not separate cogging and torque ripple.")
     assert lines["Next"].command == "fffo-drive run AXIS.yaml --decide cogging"
     first = report.verdict.reasons[0]
     assert "cogging, or torque_ripple" in first
@@ -280,10 +283,8 @@ def test_a_rest_is_never_silent():
         report = diagnosis_report(SOURCE, found)
         assert report.verdict.alarm == (verdict == "nothing_carries_over")
         if verdict != "nothing_carries_over":
-            assert any(
-                "Unexplained: 4.0 mNm rms, which a better model could reduce to 2.0 mNm." in line.text
-                for line in report.verdict.lines
-            )
+            (left,) = (line.text for line in report.verdict.lines if line.label == "Unexplained")
+            assert left.startswith("4.0 mNm rms, which a better model could reduce to 2.0 mNm; it depends on travel")
         (said,) = (text for text in report.verdict.cautions if text.startswith("Not explained: 4 mNm rms"))
         assert "a black-box model of the same rows would leave 2" in said
         assert "40 % of the squared residual repeats" in said
