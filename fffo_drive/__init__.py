@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .library import (
         Axis,
         MeasuredRun,
+        RunMetrics,
         adopt,
         diagnose,
         evaluate,
@@ -23,12 +24,15 @@ if TYPE_CHECKING:
         run,
         simulate,
         tune,
+        write_axis,
+        write_model,
     )
 
 __version__ = "0.1.0"
 __all__ = [
     "Axis",
     "MeasuredRun",
+    "RunMetrics",
     "adopt",
     "diagnose",
     "evaluate",
@@ -41,6 +45,8 @@ __all__ = [
     "run",
     "simulate",
     "tune",
+    "write_axis",
+    "write_model",
 ]
 
 

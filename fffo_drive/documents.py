@@ -302,7 +302,8 @@ def _sentence(
         known = _known_keys(data, location, record)
         close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.55)
         message += f"; did you mean '{close[0]}'?" if close else f"; known here: {', '.join(known)}"
-    return line, f"{name}:{line}: {key}: {message}"
+    place = f"{name}:{line}" if lines else name  # of values that are in no file there is no line
+    return line, f"{place}: {key}: {message}"
 
 
 NEEDED = {  # by the type of pydantic's error

@@ -16,11 +16,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .config.axis import TOGGLES, AxisFile, default_axis, model_of
+from . import formats
+from .config.axis import TOGGLES, AxisFile, default_axis, model_of, rebased, with_keys
 from .config.axis import read_axis as read_axis_file
 from .config.commissioning import commissioned, permission
 from .config.scenario import read_scenario, yardstick_of
@@ -38,6 +39,7 @@ from .identification.population import AgainstPopulation
 from .identification.tuning import Wish
 from .model.parameters import ModelFile
 from .model.parameters import read_model as read_model
+from .model.parameters import write_model as write_model_file
 from .recording.reader import read_run as read_recording
 from .recording.table import read_table
 from .runtime.runs import timestamp_name
@@ -50,11 +52,12 @@ from .workflows import replay as replaying
 from .workflows import simulate as simulating
 from .workflows import tune as tuning
 from .workflows.adopt import Adopted
+from .workflows.circle_runs import write_yaml
 from .workflows.errors import RecordingGapError
 from .workflows.evaluate_live import evaluate_recordings
 from .workflows.identify import Identified
 from .workflows.load_range import range_of, with_range
-from .workflows.plan import Plan, make_plan, open_drive
+from .workflows.plan import Plan, checked_plan, open_drive, read_profile_file
 from .workflows.record import record_run
 from .workflows.recorded_facts import facts_for, facts_of_axis
 from .workflows.recordings import claim
@@ -67,19 +70,37 @@ if TYPE_CHECKING:
 
 Floats = np.ndarray[Any, np.dtype[Any]]
 Source = str | Path | Mapping[str, Any]
+GivenProfile = str | Path | Mapping[str, Any] | Floats
 SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis file with the model that it names."""
+    """An axis file with the model that it names.
 
-    path: Path
+    A function uses what it is given: `axis.change(...)` and `dataclasses.replace(axis, model=...)` need no file.
+    """
+
+    path: Path  # names in the file are relative to it
     file: AxisFile
     model: ModelFile
 
+    def change(self, keys: Mapping[str, Any]) -> Axis:
+        """The axis with other values, by dotted key: {"controller.proportional_a_per_rps": 0.9}.
+
+        Raises DocumentError with every error, by key.
+        """
+        return replace(self, file=with_keys(self.file, keys, "axis"))
+
     def __repr__(self) -> str:
         return f"Axis({str(self.path)!r}: {self.file.name}, {self.file.drive.kind} drive, model {self.model.name})"
+
+
+class RunMetrics(NamedTuple):
+    """Errors of a run against its reference."""
+
+    measured: ErrorMetrics  # of the velocity that the drive sends: what a real axis has, and what the commands print
+    shaft: ErrorMetrics | None  # of the shaft's own velocity; None where it is not simulated
 
 
 @dataclass(frozen=True)
@@ -111,17 +132,18 @@ class MeasuredRun:
         return float(self.time_s[-1] - self.time_s[0]) if self.time_s.size else 0.0
 
     @property
-    def metrics(self) -> ErrorMetrics:
-        """ISE (rps^2 s), MAE, MAX, STD (rps) of the error while the profile ran: of the shaft's velocity where known.
+    def metrics(self) -> RunMetrics:
+        """ISE (rps^2 s), MAE, MAX, STD (rps) of the error while the profile ran: `.measured`, and `.shaft` where known.
 
         Raises ValueError for a run that was not made by this project's loop.
         """
         if self.rows is None:
             raise ValueError(f"{self.name}: no profile of this project's loop ran in it")
         period_s = float(np.median(np.diff(self.time_s)))
-        known = bool(np.isfinite(self.rows["true_velocity_rps"]).all())
-        column = "true_velocity_rps" if known else "velocity_rps"
-        return run_metrics(self.rows, period_s, self.profile_samples, column)
+        measured = run_metrics(self.rows, period_s, self.profile_samples)
+        if not np.isfinite(self.rows["true_velocity_rps"]).all():
+            return RunMetrics(measured, None)
+        return RunMetrics(measured, run_metrics(self.rows, period_s, self.profile_samples, "true_velocity_rps"))
 
     def to_pandas(self) -> pandas.DataFrame:
         """A column a signal, units in the names, indexed by time_s. Needs pandas: pip install pandas."""
@@ -251,16 +273,47 @@ def _facts_carried(path: Path, torque_constant_nm_per_a: float | None) -> DriveF
         return None
 
 
-def simulate(
-    axis: Axis | str | Path, *, toggle: str | None = None, profile: str | Path | None = None, seed: int | None = None
-) -> MeasuredRun:
-    """Run an axis file on its simulated drive in process, many times faster than real time, without writing a file.
+def write_axis(axis: Axis, path: str | Path) -> Axis:
+    """Write an axis to a file, and its model beside it where it is not that of the file that it names.
 
-    `toggle`: friction from "off", "ff" (reference) or "fb" (feedback); None: the file's. `profile`: a file with another
-    profile. `seed`: of the drive's noise. Raises DocumentError if the checks before a run refuse it.
+    Names of other files are written as they are from there. Returns the axis as it is read again. Raises DocumentError,
+    OSError.
     """
-    plan, chosen = _plan(axis, toggle, profile)
-    found = simulating.simulate(plan, chosen, seed)
+    path = Path(path)
+    data = rebased(axis.file.model_dump(mode="json", exclude_none=True), axis.path, path.parent)
+    if axis.model != model_of(axis.path, axis.file):
+        beside_it = path.with_name(f"{path.stem}_model.yaml")
+        write_model(axis.model, beside_it)
+        data["model"] = beside_it.name
+    write_yaml(path, data)
+    return read_axis(path)
+
+
+def write_model(model: ModelFile, path: str | Path) -> None:
+    """Write a model to a file, with its hash. Raises OSError."""
+    write_model_file(path, model)
+
+
+def simulate(
+    axis: Axis | str | Path, *, toggle: str | None = None, gains: Mapping[str, float] | Tuned | None = None,
+    model: ModelFile | None = None, profile: GivenProfile | None = None, seed: int | None = None,
+) -> MeasuredRun:  # fmt: skip
+    """Run an axis on its simulated drive in process, many times faster than real time, without writing a file.
+
+    `toggle`: friction from "off", "ff" (reference) or "fb" (feedback); None: the file's. `gains`: keys of the file's
+    `controller` ({"proportional_a_per_rps": 0.9, "observer.gain_nm_per_rev": 3.0}), or what `tune` found. `model`:
+    another model for the law; the simulated drive stays as it is. `profile`: the reference in rps at each tick, (n,), a
+    section as in a file ({"kind": "sine", ...}), or a file with one. `seed`: of the drive's noise. Raises DocumentError
+    if the checks before a run refuse it.
+    """
+    chosen = axis if isinstance(axis, Axis) else read_axis(axis)
+    if isinstance(gains, Tuned):
+        section = gains.section(chosen.file.controller.current_limit_a)
+        chosen = chosen.change({"controller": formats.over(chosen.file.controller.model_dump(), section)})
+    elif gains is not None:
+        chosen = chosen.change({f"controller.{key}": value for key, value in gains.items()})
+    plan, friction = _plan(chosen if model is None else replace(chosen, model=model), toggle, profile)
+    found = simulating.simulate(plan, friction, seed)
     rows = found.rows
     active = np.flatnonzero(rows["profile_sample"] >= 0)
     rows = rows[int(active[0]) : int(active[-1]) + 1] if active.size else rows
@@ -273,15 +326,16 @@ def simulate(
 
 def run(
     axis: Axis | str | Path, out: str | Path | None = None, *, toggle: str | None = None,
-    profile: str | Path | None = None, bus: str | None = None, uncommissioned: bool = False,
+    profile: GivenProfile | None = None, bus: str | None = None, uncommissioned: bool = False,
 ) -> MeasuredRun:  # fmt: skip
     """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
 
-    `out`: the recording (None: recording.directory of the axis file). `bus` replaces the bus of the file.
-    `uncommissioned`: enable a drive that has no commissioning record. Raises DriveError, DocumentError, OSError, and
+    `out`: the recording (None: recording.directory of the axis file). `profile`: as for `simulate`. `bus` replaces the
+    bus of the file. `uncommissioned`: enable a drive that has no commissioning record. An axis that was changed since
+    it was read is refused: its recording holds its file (`write_axis`). Raises DriveError, DocumentError, OSError, and
     RecordingGapError if the recording is incomplete.
     """
-    plan, chosen = _plan(axis, toggle, profile)
+    plan, chosen = _plan(_as_written(axis), toggle, profile)
     given = permission(plan.path, plan.axis, plan.model, uncommissioned)
     name = f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
     path = Path(out) if out is not None else Path(plan.axis.recording.directory) / name
@@ -295,13 +349,41 @@ def run(
     return replace(read_run(outcome.files[0]), fault=outcome.fault_text)
 
 
-def _plan(axis: Axis | str | Path, toggle: str | None, profile: str | Path | None) -> tuple[Plan, int]:
-    path = axis.path if isinstance(axis, Axis) else Path(axis)
+def _as_written(axis: Axis | str | Path) -> Axis:
+    """The axis of a file; one that was read must be as its file is. Raises DocumentError."""
+    written = read_axis(axis.path if isinstance(axis, Axis) else axis)
+    if isinstance(axis, Axis) and (axis.file, axis.model) != (written.file, written.model):
+        raise DocumentError(
+            f"axis: it was changed since {axis.path} was read, and what it does is recorded with its file: write it "
+            "first, axis = fd.write_axis(axis, FILE)"
+        )
+    return written
+
+
+def _plan(axis: Axis, toggle: str | None, profile: GivenProfile | None) -> tuple[Plan, int]:
     if toggle is not None and toggle not in TOGGLES:
         raise DocumentError(f"toggle: {toggle!r} is none of {', '.join(TOGGLES)}")
     wanted = None if toggle is None else (TOGGLES[toggle],)
-    plan = make_plan(path, wanted, None, profile)
+    file = axis.file
+    of_file = None
+    if isinstance(profile, str | Path):
+        of_file = profile
+        file = file.model_copy(update={"profile": read_profile_file(profile).profile})
+    elif profile is not None:
+        file = with_keys(file, {"profile": _section_of(profile, file.loop.period_s)}, "axis")
+    plan = checked_plan(axis.path, file, axis.model, wanted, of_file)
     return plan, plan.toggle if wanted is None else wanted[0]
+
+
+def _section_of(profile: Mapping[str, Any] | Floats, period_s: float) -> dict[str, Any]:
+    """The section of an axis file for a section, or for a reference (n,) in rps at each tick. Raises DocumentError."""
+    if isinstance(profile, Mapping):
+        return dict(profile)
+    values = np.asarray(profile, dtype=np.float64)
+    if values.ndim != 1 or values.size < 2 or not np.isfinite(values).all():
+        raise DocumentError(f"profile: shape {values.shape}: finite velocities in rps, one a tick, (n,) are needed")
+    points = [(tick * period_s, value) for tick, value in enumerate([*values, values[-1]])]  # it holds for its tick
+    return {"kind": "points", "points": points}
 
 
 def _records(runs: Sequence[MeasuredRun], facts: DriveFacts | None) -> tuple[list[Record], DriveFacts]:
@@ -423,7 +505,7 @@ def adopt(
     `report`: the report.json of the diagnosis (None: the one beside the model). One gate requires that the axis's
     daemon has no torque on.
     """
-    chosen = axis if isinstance(axis, Axis) else read_axis(axis)
+    chosen = _as_written(axis)
     serving = torque_on(chosen.file.name)
     report_path = None if report is None else Path(report)
     return adoption.adopt(chosen.path, chosen.file, Path(model), report_path, serving, dry_run)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
@@ -28,7 +30,17 @@ from ..control.reference import (
 )
 from ..control.stability import LinearAxis, feedback_lag_s, linear_axis, loop_delay_s
 from ..control.velocity_estimator import DRIVE_VELOCITY, VelocityEstimatorConfig, estimator_config
-from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
+from ..documents import (
+    DocumentError,
+    StrictRecord,
+    check,
+    did_you_mean,
+    location_of,
+    parse,
+    read_text,
+    refuse,
+    require_named,
+)
 from ..identification.excitation import (
     deciding_motion,
     frequency_response_chirp,
@@ -42,7 +54,7 @@ from ..runtime.realtime import RealtimeRequest
 from ..runtime.records import ModelNote
 from ..runtime.tick import LoopConfig
 from ..units import NS_PER_S
-from .drive_profile import with_profile
+from .drive_profile import profile_path, shipped_profiles, with_profile
 from .drive_section import DEFAULT_RESOLVER_BITS, CanopenDriveSection, SimulatedDriveSection
 from .measured_axis import response_in, with_response
 from .names import LONGEST_NAME, FileName
@@ -161,6 +173,40 @@ def read_axis(path: str | Path) -> AxisFile:
         except DocumentError as error:  # to commission it again, the file must be readable
             axis._response = error
     return axis
+
+
+def with_keys(axis: AxisFile, keys: Mapping[str, Any], name: str) -> AxisFile:
+    """An axis file with other values by dotted key (controller.observer.toggle); `name` begins each error.
+
+    Raises DocumentError with every error.
+    """
+    content = axis.model_dump()
+    for key, value in keys.items():
+        *sections, last = location_of(key)
+        inner: Any = content
+        for section in sections:
+            there = inner if isinstance(inner, dict) else dict(enumerate(inner or ()))
+            if section not in there:
+                known = did_you_mean(str(section), map(str, there))
+                raise DocumentError(f"{name}: {key}: no section {section!r}: {known}")
+            inner = there[section]
+        inner[last] = value
+    changed = check(content, AxisFile, name)
+    changed._response = axis._response
+    return changed
+
+
+def rebased(data: Mapping[str, Any], source: Path, out: Path) -> dict[str, Any]:
+    """A parsed axis file with the names of other files as they are from the directory `out`."""
+    moved = {**data, "drive": dict(data["drive"])}
+    drive = moved["drive"]
+    for place, key in ((moved, "model"), (moved, "commissioning"), (drive, "file"), (drive, "eds")):
+        if place.get(key):
+            place[key] = os.path.relpath(beside(source, place[key]).resolve(), out.resolve())
+    family = profile_path(source, drive["profile"]) if drive.get("profile") else None
+    if family is not None and family not in shipped_profiles().values():
+        drive["profile"] = os.path.relpath(family.resolve(), out.resolve())
+    return moved
 
 
 def beside(path: str | Path, name: str) -> Path:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import difflib
 from typing import Any, NamedTuple
 
-from ..config.axis import TOGGLES, AxisFile
-from ..config.sections import ControllerSection, NotchSection, notch_problem
+from ..config.axis import TOGGLES, AxisFile, with_keys
+from ..config.sections import NotchSection, notch_problem
 from ..control.notch import MOST_NOTCHES
-from ..documents import DocumentError, check, location_of
+from ..documents import DocumentError, location_of
 from ..model.parameters import ModelFile, content_hash
 from ..workflows.plan import Plan, checked_plan, make_plan, proof_problems
 from .states import Change
@@ -63,17 +63,10 @@ def value_of(axis: AxisFile, key: str) -> Any:
 
 def with_value(plan: Plan, toggle: int, key: str, value: float | bool) -> Plan:
     """The plan with one key changed. Raises DocumentError if the value, or the resulting law, is refused."""
-    content = plan.axis.controller.model_dump()
-    _, *sections, last = location_of(key)
-    inner: Any = content
-    for section in sections:
-        inner = inner[section]
-    inner[last] = value
-    controller = check(content, ControllerSection, "set")
-    problem = notch_problem(controller, plan.axis.loop)
+    axis = with_keys(plan.axis, {key: value}, "set")
+    problem = notch_problem(axis.controller, plan.axis.loop)
     if problem is not None:
         raise DocumentError(problem)
-    axis = plan.axis.model_copy(update={"controller": controller})
     _require_proof(axis, plan.model, toggle)
     return plan._replace(axis=axis)
 

@@ -90,13 +90,16 @@ def library(scripts: Path) -> str:
         "import fffo_drive as fd",
         "",
         'run = fd.simulate("configs/axis_simulated.yaml", toggle="ff")',
-        "print(run.metrics)",
+        "print(run.metrics.measured)",
         'velocity_rps = run["velocity_rps"]',
         "```",
         "",
         "A run is a set of arrays with units in their names ({doc}`/reference/signals`). It comes from a recording, a",
         "table, arrays of your own, or the simulated drive; `run.to_pandas()` makes a data frame of it. You need no",
         "files: arrays are enough.",
+        "",
+        "What you change in memory is what `simulate` uses: `axis.change({...})`, another model, `gains=`, and a",
+        "reference of your own as an array. `fd.write_axis` and `fd.write_model` make files of it, which `run` needs.",
         "",
     ]
     for path in sorted(scripts.glob("*.py")):

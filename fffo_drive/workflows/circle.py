@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from ..config.axis import AxisFile, build_profile, model_of, read_axis
+from ..config.axis import AxisFile, build_profile, model_of, read_axis, with_keys
 from ..config.checks import motion_problems
 from ..config.drive_section import CanopenDriveSection
 from ..config.effects import compensated_names, services, slope_margin
@@ -29,7 +29,7 @@ from ..report.document import provenance, source_file
 from ..report.page import refuse_other_report, write_report
 from .adopt import put_in_service, read_report
 from .adoption_gates import STABILITY, Gate, gates, held_out_gate, refused_effects
-from .circle_runs import Circle, CircleWish, RecordedRun, SpoiledRunError, change, changed, write_axis, write_simulated
+from .circle_runs import Circle, CircleWish, RecordedRun, SpoiledRunError, change, write_axis, write_simulated
 from .diagnose import MODEL_NAME, diagnose_recordings
 from .errors import DriveFaultError
 from .plan import Plan, checked_plan, make_plan
@@ -191,7 +191,7 @@ def identification_profile(plan: Plan, quick: bool) -> dict[str, Any]:
     while ratio > LEAST_BREAK_AWAY_RATIO:
         currents = {"high_a": ratio * break_away_a, "low_a": 0.3 * ratio * break_away_a}
         profile = IDENTIFY | currents | {"duration_s": quick_s if quick else IDENTIFY_S}
-        axis = changed(plan.axis, profile=profile)
+        axis = with_keys(plan.axis, {"profile": profile}, "profile")
         if not motion_problems(axis, build_profile(axis.profile, axis.loop.period_s), plan.model):
             return profile
         ratio *= SHORTER

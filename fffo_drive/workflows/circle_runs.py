@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from ..config.axis import AxisFile, beside, model_of, read_axis
+from ..config.axis import AxisFile, model_of, read_axis, rebased, with_keys
 from ..config.commissioning import permission
-from ..config.drive_profile import profile_path
 from ..config.drive_section import CanopenDriveSection
 from ..documents import DocumentError, parse, read_text
 from ..drive.port import DriveError
@@ -130,7 +129,7 @@ class Circle:
                 change(self.path, ("envelope", name), max(int(seconds * rate_hz), now[name]))
 
     def _proven(self, rate_hz: int) -> bool:
-        axis = changed(self.axis, loop={"rate_hz": rate_hz})
+        axis = with_keys(self.axis, {"loop.rate_hz": rate_hz}, "loop")
         try:
             checked_plan(self.path, axis, model_of(self.path, axis))
         except DocumentError as error:
@@ -158,7 +157,7 @@ class Circle:
         """
         axis = self.axis
         if profile is not None:
-            axis = changed(axis, profile=dict(profile))
+            axis = with_keys(axis, {"profile": dict(profile)}, "profile")
         plan = checked_plan(self.path, axis, model_of(self.path, axis))
         tries = TRIES if self.forgiving else 1
         for number in range(1, tries + 1):
@@ -234,14 +233,6 @@ def _put_aside(path: Path) -> None:
 # -- files ----------------------------------------------------------------------------------------------------------
 
 
-def changed(axis: AxisFile, **sections: dict[str, Any]) -> AxisFile:
-    """An axis file with other keys in some sections; a profile is replaced as a whole."""
-    data = axis.model_dump()
-    for name, keys in sections.items():
-        data[name] = keys if name == "profile" else {**data[name], **keys}
-    return AxisFile.model_validate(data)
-
-
 def change(path: Path, key: tuple[str, ...], value: Any) -> None:
     """Set one key of a YAML file."""
     data, _ = parse(read_text(path), str(path))
@@ -265,11 +256,7 @@ def write_axis(axis_path: Path, out: Path, sim: Path | None, rate_hz: int | None
     """
     axis = read_axis(axis_path)
     data, _ = parse(read_text(axis_path), str(axis_path))
-    for section, key in ((data, "model"), (data, "commissioning"), (data["drive"], "file"), (data["drive"], "eds")):
-        if section.get(key):
-            section[key] = str(beside(axis_path.resolve(), section[key]).resolve())
-    if data["drive"].get("profile"):
-        data["drive"]["profile"] = str(profile_path(axis_path.resolve(), data["drive"]["profile"]))
+    data = rebased(data, axis_path, out)
     data["controller"].setdefault("effects", {})["monitor"] = False
     if rate_hz is not None:
         data.setdefault("loop", {})["rate_hz"] = rate_hz

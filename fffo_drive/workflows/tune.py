@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +10,9 @@ import numpy as np
 import yaml
 
 from .. import formats
-from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis
+from ..config.axis import AxisFile, hold_dead_band_rev, loop_axis, read_axis, rebased
 from ..config.checks import fallback_problems, velocity_problems
 from ..config.commissioning import NOT_COMMISSIONED, Commissioned
-from ..config.drive_profile import profile_path, shipped_profiles
 from ..config.sections import ControllerSection, VelocitySection, VelocitySource, best_law
 from ..control.stability import (
     RIGID,
@@ -343,14 +341,7 @@ def write_tuned_axis(
     data["controller"] = formats.over(data["controller"], section)
     if blind_ticks is not None:
         data["envelope"] = data["envelope"] | {"feedback_missing_ticks": blind_ticks}
-    data["model"] = os.path.relpath(model.resolve(), out.resolve())
-    drive = data["drive"] = dict(data["drive"])
-    for place, key in ((drive, "file"), (drive, "eds"), (data, "commissioning")):
-        if place.get(key):
-            place[key] = os.path.relpath((source.parent / place[key]).resolve(), out.resolve())
-    family = profile_path(source, drive["profile"]) if drive.get("profile") else None
-    if family is not None and family not in shipped_profiles().values():
-        drive["profile"] = os.path.relpath(family.resolve(), out.resolve())
+    data = rebased(data | {"model": str(model.resolve())}, source, out)
     target = out / source.name
     target.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     read_axis(target)

@@ -88,7 +88,7 @@ def test_an_axis_at_either_end_of_its_range_runs_quietly(made, inertia_kg_m2):
     assert run.fault is None
     rest = run["current_command_a"][-200:]
     assert np.ptp(rest) < 0.5
-    assert run.metrics.max < 3.0
+    assert run.metrics.shaft.max < 3.0
 
 
 def test_the_same_axis_without_a_range_trips_at_a_fourth_of_its_inertia(made):
@@ -106,7 +106,7 @@ def test_config_check_says_what_another_load_costs_as_a_run_has_it(made, capsys)
     inertia = 2.0 * np.pi * OWN
     assert cost.torque_nm == pytest.approx(2.0 * inertia * np.abs(plan.profile.derivatives).max(), rel=1e-3)
     run = fd.simulate(path, profile=made / "motion.yaml")
-    assert cost.largest_rps == pytest.approx(run.metrics.max, rel=0.3)
+    assert cost.largest_rps == pytest.approx(run.metrics.shaft.max, rel=0.3)
     assert main(["config", "check", str(made / "ranged" / "axis_simulated.yaml")]) == 0
     said = capsys.readouterr().out
     assert "at the worst inertia from 3.735e-05 to 0.0004482 kg m2" in said

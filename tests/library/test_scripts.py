@@ -44,6 +44,14 @@ def test_three_controllers_are_compared():
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
+def test_each_gain_of_a_sweep_has_an_error_of_its_own():
+    ises = [float(line.split()[4]) for line in said_by("gain_sweep.py", AXIS).splitlines()]
+    assert len(set(ises)) == 5
+    assert ises == sorted(ises, reverse=True)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
 def test_a_recorded_run_is_replayed_with_another_model(tmp_path):
     text = said_by("replay_other_model.py", AXIS, tmp_path / "run.mcap")
     assert "bit for bit: True" in text

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import fffo_drive as fd
-from fffo_drive.model.parameters import write_model
 
 axis = fd.read_axis(sys.argv[1])
 run = fd.run(axis, sys.argv[2])
@@ -14,6 +13,6 @@ print("every command the same, bit for bit:", fd.replay(run).exact)
 found = fd.identify(run, name="from this run")
 print(found)
 model = Path(sys.argv[2]).with_suffix(".yaml")
-write_model(model, found.model)
+fd.write_model(found.model, model)
 other = fd.replay(run, instead=model)
 print(f"with that model the command differs by {other.rms_difference_a:.3f} A (rms), over {other.rows} rows")
