@@ -139,15 +139,6 @@ def test_the_stream_is_read_by_three_clients():
 @pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
-def test_nothing_moves_when_a_start_races_a_stop():
-    facts = sample("stops", "--races")
-    assert facts["races of a start with a stop that was acknowledged"] > 12
-    assert facts["of them, the axis moved or ran afterwards"] == 0, facts["wrong"]
-
-
-@pytest.mark.long
-@pytest.mark.realtime
-@pytest.mark.timeout(600)
 def test_nothing_moves_after_a_stop_on_any_way():
     facts = sample("attacks", "--only", "motion_after_stop")
     assert facts["motion after a stop: motions after an acknowledged stop"] == 0, facts

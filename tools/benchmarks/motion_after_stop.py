@@ -21,7 +21,8 @@ from common import Section, shown
 from daemon import AXIS, DRIVE, PATIENCE_S, until
 from live import Streaming
 from shaft_on_bus import ShaftError, ShaftOnBus
-from stops import STANDSTILL_RPS, WATCHED_S, faults_of, races
+from start_races import LONGEST_DELAY_S, STANDSTILL_RPS, WATCHED_S, races
+from stops import faults_of
 from turning_clients import EPOCH, REFUSED, RPS, SENT, Shared
 
 from fffo_drive.can.link import free_loopback_port
@@ -33,7 +34,6 @@ from fffo_drive.workflows.plan import Plan, make_plan
 from fffo_drive.workflows.simulated_process import SimulatedProcess
 
 MANY = 8
-LONGEST_DELAY_S = 0.1
 HOLDERS_SHARE = 10  # one race with a frozen holder for so many of the others: it takes the longest
 MOVING = (State.FOLLOWING, State.STOPPING)
 SETTLES_S = 0.1  # from the end of the braking ramp to standstill of the shaft
@@ -287,7 +287,8 @@ def motion_after_stop(count: int, side_by_side: int) -> Section:
         f"`enable` behind them, a random 0 to {1e3 * LONGEST_DELAY_S:g} ms after the axis turns. Moved: the position "
         f"that the drive sends on the bus changes by more than {STANDSTILL_RPS * WATCHED_S:g} rev within {WATCHED_S:g} "
         f"s of the acknowledgement; with `wait_s: 0`, not waiting, from {SETTLES_S:g} s after the braking ramp. "
-        "Every second client of a stream opens a connection for each set point.",
+        "Every second client of a stream opens a connection for each set point. A start races a stop over the control "
+        "socket, `ctl`, the page and the viewers' services in turn.",
         f"Beyond the lease: from the freezing or the end of the client to the last motion of the shaft, less the lease "
         f"({world.lease_s:g} s; {world.silence_s:g} s of silence for `--hold`) and the longest braking ramp. A "
         "client that is continued first renews, then insists with new requests, of its epoch and of none.",
