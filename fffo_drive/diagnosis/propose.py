@@ -164,14 +164,16 @@ class Search:
         self.tried = 0  # candidates so far, over all rounds
         self._kept: dict[tuple[str | float, ...], Columns] = {}
 
-    def proposals(self, data: Data, fitted: Fitted, evidence: Evidence, rung: int) -> list[Proposal]:
-        """The best shape of every law up to a rung, and all curves; on the last rung also tables over two axes."""
+    def proposals(
+        self, data: Data, fitted: Fitted, evidence: Evidence, rung: int, names: frozenset[str] | None = None
+    ) -> list[Proposal]:
+        """The best shape of every law up to a rung, and all curves, or those of `names`; on the last rung tables."""
         scenes = consistent_scenes(data, fitted.physical, fitted.effects)
         if rung == TABLE_RUNG:
             chosen = self._tables(data, evidence, scenes)
         else:
             chosen = self._laws(data, fitted, evidence, scenes, rung)
-            chosen += self._curves(data, evidence, scenes) if rung == LAW_RUNG else []
+            chosen += self._curves(data, evidence, scenes, names) if rung == LAW_RUNG else []
         # only the best candidate needs a p-value
         return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
 
@@ -236,9 +238,15 @@ class Search:
         own = proposal(data, found.name, found.kind, dict(found.effect.shapes), columns, scored)
         return [found, own] if data.runs > 1 else [own]
 
-    def _curves(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
-        """All curves over one axis."""
-        wanted = filter(self._wanted, curves(data.rows, scenes))
+    def _curves(
+        self, data: Data, evidence: Evidence, scenes: Sequence[Scene], names: frozenset[str] | None
+    ) -> list[Proposal]:
+        """All curves over one axis, or those of `names`."""
+        if names is not None and not names:
+            return []
+        wanted = (
+            one for one in curves(data.rows, scenes) if self._wanted(one) and (names is None or one.name in names)
+        )
         found = list(in_threads(lambda curve: self._of_curve(data, evidence, curve), wanted))
         self.tried += len(found)
         return [one for one in found if one.score.rank]

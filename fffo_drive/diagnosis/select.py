@@ -66,7 +66,8 @@ TRIED_A_KIND = 2  # ... at most this many of one kind on a rung ...
 REFITTED = 4  # ... of them, laws that are refitted, those beyond chance first ...
 CURVES_REFITTED = 2  # ... and curves that are refitted
 KEPT = 0.75  # a refit that keeps less of its promised gain is repeated from another start
-LAW_OF_CURVE = 0.75  # a law with more than this share of a curve's gain takes precedence over it
+LAW_OF_CURVE = 0.75  # laws with more than this share of a curve's gain take precedence over it ...
+LAWS_FOR_CURVE = 3  # ... at most so many
 LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
 
 
@@ -98,6 +99,10 @@ class Refused(NamedTuple):
     reason: str
     share: float
     p: float
+
+
+State = tuple[Data, ScoredFit, list[Accepted]]  # of a search: what is fitted to, the model, the evidence for it
+Names = frozenset[str] | None  # of free curves; None: all
 
 
 class FirstRungs(NamedTuple):
@@ -162,6 +167,7 @@ class Selector:
         self.reference: ReferenceAxis | None = None
         self.ladder: FirstRungs | None = None
         self.inertia_ratios: tuple[float, ...] = ()
+        self.share = 0.0  # of the search that is done: effects also go
 
     def run(self, data: Data) -> Selection:
         """Climb the ladder, then let all remaining effects compete. `data` as they are at the start."""
@@ -169,18 +175,33 @@ class Selector:
         data, scored, accepted = self._ladder(data)
         self.reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
         for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
-            while len(accepted) < MOST_EFFECTS:
-                self.progress((len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0), "search")
-                found = self._round(data, scored, accepted, rung)
-                if found is None:
-                    break
-                accepted = found[2]
-                data, scored = self._freed(whole, *found[:2])
+            data, scored, accepted = self._climbed(whole, data, scored, accepted, rung)
             if rung == WAVE_RUNG:
                 self.ladder = FirstRungs(data, scored, tuple(accepted))
                 self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
-        data, scored, accepted = self._pruned(data, scored, accepted, refit=True)
+        return self._finished(whole, *self._pruned(data, scored, accepted, refit=True))
+
+    def _climbed(
+        self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
+    ) -> State:
+        """Add effects of one rung until none remains."""
+        while len(accepted) < MOST_EFFECTS:
+            self.share = max(self.share, (len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0))
+            self.progress(self.share, "search")
+            found = self._round(data, scored, accepted, rung, curves)
+            if found is None:
+                break
+            accepted = found[2]
+            data, scored = self._freed(whole, *found[:2])
+        return data, scored, accepted
+
+    def _finished(self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted]) -> Selection:
+        """Put laws in the place of curves, which may come back for what is left, and judge what stands."""
+        curves = accepted
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
+        if accepted is not curves:
+            names = frozenset(note.name for note in curves if note.name.startswith(UNKNOWN))
+            data, scored, accepted = self._climbed(whole, data, scored, accepted, LAW_RUNG, names)
         for k, note in enumerate(accepted):  # a law that is needed even beside a curve over its own axis
             if _set_aside(scored, k) != (containing := _set_aside(scored, k, True)):
                 accepted[k] = self._judged(data, scored, k, note, True, containing)
@@ -191,7 +212,7 @@ class Selector:
             self._negligible_nm,
         )  # fmt: skip
 
-    def _ladder(self, data: Data) -> tuple[Data, ScoredFit, list[Accepted]]:
+    def _ladder(self, data: Data) -> State:
         """The first rungs: the smallest set of their laws that unseen rows do not distinguish from the best set.
 
         They are fitted together with a rigid base from the start: a base that was fitted without them, or has more
@@ -277,11 +298,11 @@ class Selector:
         return quick_score(evidence_of(data, start, jacobian(data, start)), data.white(own)).rank > 0
 
     def _round(
-        self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int
-    ) -> tuple[Data, ScoredFit, list[Accepted]] | None:
-        """Add one effect; None where none remains on this rung."""
+        self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
+    ) -> State | None:
+        """Add one effect, of free curves one of these names (None: all); None where none remains on this rung."""
         evidence = self._evidence(data, scored.fitted, scored.matrix)
-        proposals = self.search.proposals(data, scored.fitted, evidence, rung)
+        proposals = self.search.proposals(data, scored.fitted, evidence, rung, curves)
         tried = self.search.tried
         if rung == LAW_RUNG and not self.first:
             self.first = tuple(one.without_columns for one in ranked(proposals, key=lambda one: -one.worth))
@@ -316,39 +337,41 @@ class Selector:
             self.refused[chosen[0].name] = Refused(
                 chosen[0].name, reason, share_gone(scored.fitted, chosen[1].fitted), note.p
             )
-            return self._round(data, scored, accepted, rung)
+            return self._round(data, scored, accepted, rung, curves)
         state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
         if state in self.visited:  # a cycle: adding one effect removes another, and the reverse
             return None
         self.visited.add(state)
         return found
 
-    def _replaced_curves(
-        self, data: Data, scored: ScoredFit, accepted: list[Accepted]
-    ) -> tuple[Data, ScoredFit, list[Accepted]]:
-        """Put a law in the place of each free curve where it has most of the curve's gain.
+    def _replaced_curves(self, data: Data, scored: ScoredFit, accepted: list[Accepted]) -> State:
+        """Put laws in the place of each free curve where together they have most of the curve's gain.
 
-        A curve accepted before another effect had absorbed part of that effect, and no law could do so. Laws are tried
-        on the base of the whole model: one that was refitted without the curve has absorbed what a law would explain.
+        A curve that holds two effects at once beats each law alone, and one accepted before another effect had absorbed
+        part of that effect. Laws are tried on the base of the whole model: one that was refitted without the curve has
+        absorbed what a law would explain.
         """
-        for name in [note.name for note in accepted if note.name.startswith(UNKNOWN)]:
-            others = [k for k, note in enumerate(accepted) if note.name != name]
+        curves = [note.name for note in accepted if note.name.startswith(UNKNOWN)]
+        for names in dict.fromkeys([tuple(curves), *((name,) for name in curves)]):  # all at once, then each
+            others = [k for k, note in enumerate(accepted) if note.name not in names]
             if len(others) == len(accepted):
-                continue  # it went with another curve
+                continue  # replaced, or it went with another curve
             left = [scored.fitted.effects[k] for k in others]
             bare, _ = evaluate(data, scored.fitted.physical, left)
-            ratios = self.inertia_ratios
-            found = self._round(data, scored_fit(data, bare), [accepted[k] for k in others], LAW_RUNG)
+            alone = scored_fit(data, fit(data, bare.physical, left)).unseen
+            least = LAW_OF_CURVE * gain(alone, scored.unseen, data.folds).value
+            ratios, self.visited = self.inertia_ratios, {()}
+            laws = (data, scored_fit(data, bare), [accepted[k] for k in others])
+            while len(laws[2]) < min(MOST_EFFECTS, len(others) + LAWS_FOR_CURVE * len(names)):
+                more = self._round(*laws, LAW_RUNG, frozenset())
+                if more is None:
+                    break
+                laws = more
+            fitted = laws[1].fitted
+            unseen = scored_fit(data, fit(data, fitted.physical, fitted.effects)).unseen
+            if gain(alone, unseen, data.folds).value > least:
+                data, scored, accepted = laws
             self.inertia_ratios = ratios  # without the curve, runs may seem to contradict each other
-            if found is None or any(effect.name == name for effect in found[1].fitted.effects):
-                continue
-            fitted = found[1].fitted
-            alone, law = (
-                scored_fit(data, fit(data, physical, effects)).unseen
-                for physical, effects in ((bare.physical, left), (fitted.physical, fitted.effects))
-            )
-            if gain(alone, law, data.folds).value > LAW_OF_CURVE * gain(alone, scored.unseen, data.folds).value:
-                data, scored, accepted = found
         return data, scored, accepted
 
     def _contradicted(
@@ -436,9 +459,7 @@ class Selector:
     def _negligible_nm(self) -> float:
         return 0.0 if self.reference is None or "least_torque" in self.ablate else self.reference.negligible_nm
 
-    def _pruned(
-        self, data: Data, scored: ScoredFit, accepted: list[Accepted], refit: bool = False
-    ) -> tuple[Data, ScoredFit, list[Accepted]]:
+    def _pruned(self, data: Data, scored: ScoredFit, accepted: list[Accepted], refit: bool = False) -> State:
         """Drop the effects that no longer explain enough, the weakest first, by their present gains.
 
         Without `refit` an effect that looks superfluous is judged by a refit of the others, and any other by one step

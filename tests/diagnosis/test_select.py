@@ -343,18 +343,32 @@ def test_a_curve_stands_only_where_it_says_more_than_any_law():
 
 
 @pytest.mark.parametrize(
-    ("load", "stands"), [("wave", "cogging"), ("peaked", "cogging"), ("waves", "unknown:motor_angle")]
+    ("load", "law", "stand"),
+    [
+        ("wave", "cogging", ["cogging"]),
+        ("peaked", "cogging", ["cogging"]),
+        ("waves", "cogging", ["cogging", "cogging"]),
+        ("waves", "unbalance", ["unknown:motor_angle"]),
+    ],
 )
-def test_a_law_takes_the_place_of_a_curve_where_it_has_most_of_its_gain(load, stands):
-    """Of all, of nine tenths, and of half of what the curve explains."""
+def test_laws_take_the_place_of_a_curve_where_together_they_have_most_of_its_gain(load, law, stand):
+    """Of all, and of nine tenths of what the curve explains; two that have half of it each; and none."""
     before = found(load, "torque_offset", ablate=frozenset())
     assert names(before)[0] == "unknown:motor_angle"
-    search = selector("cogging", ablate=())
+    search = selector(law, ablate=())
     scored = scored_fit(before.data, before.fitted)
     _, after, accepted = search._replaced_curves(before.data, scored, list(before.accepted))
-    assert after.fitted.effects[0].name == stands
+    assert [e.name for e in after.fitted.effects][: len(stand)] == stand
     assert [note.name for note in accepted] == [e.name for e in after.fitted.effects]
-    assert (after is scored) == (load == "waves")
+    assert (after is scored) == (law == "unbalance")
+
+
+def test_no_more_laws_are_tried_for_a_curve_than_are_allowed(monkeypatch):
+    monkeypatch.setattr(select, "LAWS_FOR_CURVE", 1)
+    before = found("waves", "torque_offset", ablate=frozenset())
+    scored = scored_fit(before.data, before.fitted)
+    search = selector("cogging", ablate=())
+    assert search._replaced_curves(before.data, scored, list(before.accepted))[1] is scored
 
 
 def test_what_a_curve_over_another_laws_axis_is_judged_beside():
@@ -399,8 +413,8 @@ def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(mo
     """Beside a base that is biased without it a law may look like chance; a curve is the same before and after."""
     proposals = Search.proposals
 
-    def poor(self, data, fitted, evidence, rung):
-        found = proposals(self, data, fitted, evidence, rung)
+    def poor(self, data, fitted, evidence, rung, names=None):
+        found = proposals(self, data, fitted, evidence, rung, names)
         return [one._replace(score=one.score._replace(p=1.0)) for one in found]
 
     monkeypatch.setattr(Search, "proposals", poor)
