@@ -113,10 +113,13 @@ class Proof:
         """Errors of a model over the scored rows."""
         return error_figures(self.data, model, self.needed_nm, self.inertia, scored)
 
-    def gain_of(self, number: int) -> Gain:
-        """Gain of one effect on the held-out rows, given the others."""
+    def without(self, number: int) -> Fitted:
+        """The model without one effect, nothing refitted."""
         others = tuple(e for k, e in enumerate(self.fitted.effects) if k != number)
-        without = evaluate(self.data, self.fitted.physical, others)[0]
+        return evaluate(self.data, self.fitted.physical, others)[0]
+
+    def gain_over(self, without: Fitted) -> Gain:
+        """Gain of the model on the held-out rows over one without some effect."""
         scored = self.scored[self.data.used]
         folds = Folds(*(part[scored] for part in self.data.folds))
         return gain(huber(without.white[scored]), huber(self.fitted.white[scored]), folds)

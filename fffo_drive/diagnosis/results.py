@@ -120,7 +120,8 @@ class Finding:
     gain: tuple[float, float] | None = None  # nats on rows outside the fit, given the others, and its sd
     held_out_gain: tuple[float, float] | None = None  # the same on the held-out runs
     strength_variation: float = 0.0  # coefficient of variation of its strength over the blocks of the fit runs
-    regime_before: ErrorFigures | None = None  # held-out, where the effect acts; None where there is too little of that
+    # held-out, where the effect acts, without and with it; None where there is too little of that
+    regime_before: ErrorFigures | None = None
     regime_after: ErrorFigures | None = None
     doubt: str = ""  # why it may not be what its name says; empty: nothing contradicts it
 
@@ -142,13 +143,15 @@ class Finding:
             return "cannot tell"
         return "certain" if self.is_confirmed else "probable"
 
+    def is_confirmed_by(self, sds: float) -> bool:
+        """Whether its gain on held-out runs is positive by more than so many standard deviations."""
+        return self.held_out_gain is not None and self.held_out_gain[0] > sds * self.held_out_gain[1]
+
     @property
     def is_confirmed(self) -> bool:
         """Whether held-out runs confirm it beyond the 95 % intervals, by its gain or by the error where it acts."""
-        if self.held_out_gain is not None:
-            value, sd = self.held_out_gain
-            if value > NORMAL_95 * sd:
-                return True
+        if self.is_confirmed_by(NORMAL_95):
+            return True
         before, after = self.regime_before, self.regime_after
         return before is not None and after is not None and after.torque_rms_nm.high < before.torque_rms_nm.low
 

@@ -93,6 +93,7 @@ class RunsLook(NamedTuple):
     runs: tuple[RunLook, ...]
     remarks: tuple[Remark, ...]
     delay_s: float
+    turn_one_way: bool = False  # all in the same direction
 
 
 def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> RunsLook:
@@ -106,7 +107,7 @@ def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ
     if not usable:
         raise DataError("no run slides long enough to be looked at by itself: raise the current of the excitation")
     remarks = (*_confounded(records, rows, looks), *_compared(usable), *_repeated(records))
-    return RunsLook(looks, remarks, start.delay_s)
+    return RunsLook(looks, remarks, start.delay_s, turns_one_way(rows.direction[rows.sliding]))
 
 
 def _without_stribeck(rows: RegressionRows, start: TorqueStart) -> RegressionRows:

@@ -246,7 +246,7 @@ def _rest(rest: Rest, words: DiagnosisWords) -> str:
     left, floor = (f"{words.torque_scale * value:.3g}" for value in (rest.rms_nm, rest.floor_nm))
     text = (
         f"Not explained: {left} {words.small_torque} rms remain on the fitted runs; a black-box model of the same rows "
-        f"would leave {floor}, or that much does not repeat"
+        f"would leave {floor}, or that much does not repeat or does not follow from its own past"
     )
     if rest.repeats_share is not None:
         text += f"; {100.0 * rest.repeats_share:.0f} % of the squared residual repeats"

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import sklearn.ensemble  # noqa: F401  # before the limit of its threads: what is loaded later has none
 from diagnosis.planted import NOISE_NM, based, left, nothing, planted, runs
+from scipy import signal
 from threadpoolctl import threadpool_limits
 
+from fffo_drive.diagnosis import rest as rest_module
 from fffo_drive.diagnosis.fitting import with_levels
-from fffo_drive.diagnosis.rest import REPORTED_RATIO, refused_rest, rest_of
+from fffo_drive.diagnosis.rest import LARGE_SHARE, REPORTED_RATIO, refused_rest, rest_of
 from fffo_drive.diagnosis.results import Ceiling
 from fffo_drive.diagnosis.scenes import Effect
 
@@ -32,10 +34,13 @@ def axis(count=3):
     return based(runs(*[nothing] * count, duration_s=10.0))
 
 
-def rest(make, count=3, ceiling=NO_CEILING):
+NEEDED_NM = 1.0  # so much that no rest is a large share of it
+
+
+def rest(make, count=3, ceiling=NO_CEILING, needed_nm=NEEDED_NM):
     """What is said of a residual to which `make(rows)` was added."""
     data, base = axis(count)
-    return rest_of(data, left(data, base, make(data.rows)), ceiling)
+    return rest_of(data, left(data, base, make(data.rows)), ceiling, needed_nm)
 
 
 def velocity(rows):
@@ -82,7 +87,7 @@ def test_a_friction_in_a_band_of_speeds_is_reported_that_one_run_alone_reaches()
     band = speed > speed[run < 2].max()
     assert 0.02 < band.mean() < 0.3
     spoiled = left(data, base, 8.0 * NOISE_NM * np.sign(data.rows.velocity_rps) * band)
-    found = rest_of(with_levels(data, spoiled), spoiled, NO_CEILING)
+    found = rest_of(with_levels(data, spoiled), spoiled, NO_CEILING, NEEDED_NM)
     assert "velocity" in found.axes
     assert found.rms_nm > 1.5 * found.floor_nm
 
@@ -114,6 +119,36 @@ def test_the_sentence_says_how_much_and_how_large():
     share = 100.0 * (1.0 - (found.floor_nm / found.rms_nm) ** 2)
     assert found.sentence.startswith(f"{share:.0f} %")
     assert f"{found.rms_nm:.3g}" in found.sentence
+
+
+def wandering(rows):
+    """A torque of 0.5 Hz and less that goes with nothing."""
+    draw = np.random.default_rng(8).normal(size=rows.time_s.size)
+    slow = signal.sosfilt(signal.butter(2, 0.5, fs=1.0 / rows.filter.row_period_s, output="sos"), draw)
+    return 4.0 * NOISE_NM * slow / slow.std()
+
+
+def at_times(rows):
+    """A drag that acts seven seconds in every 31."""
+    return 3e-4 * rows.velocity_rps * (np.mod(rows.time_s, 31.0) < 7.0)
+
+
+@pytest.mark.parametrize("make", [wandering, at_times])
+def test_what_is_large_and_smooth_is_unexplained_whether_or_not_something_predicts_it(make, monkeypatch):
+    monkeypatch.setattr(rest_module, "_trees", lambda features, target, group, names: (0.0 * target, ()))
+    data, base = axis()
+    rms = float(np.sqrt(np.mean(left(data, base, make(data.rows)).residual_nm[data.used] ** 2)))
+    found = rest(make, needed_nm=rms / (1.01 * LARGE_SHARE))
+    assert found.sentence.startswith("5 % of the torque is smooth and unexplained")
+    assert found.axes == ()
+    assert found.floor_nm < 0.8 * found.rms_nm
+    assert rest(make, needed_nm=rms / (0.99 * LARGE_SHARE)) is None
+
+
+def test_what_is_large_and_knows_nothing_of_its_own_past_is_noise():
+    draw = np.random.default_rng(5)
+    noise = 5.0 * NOISE_NM * draw.normal(size=axis()[0].rows.time_s.size)
+    assert rest(lambda rows: noise, needed_nm=10.0 * NOISE_NM) is None
 
 
 def test_what_effects_explain_that_do_not_carry_over_is_left():
