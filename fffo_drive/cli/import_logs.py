@@ -24,7 +24,7 @@ from typing import Any
 from ..documents import did_you_mean
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
-from ..importing.recognise import (
+from ..importing.candidates import (
     COMMAND_A,
     CURRENT_A,
     ENCODER_REV,
@@ -37,6 +37,7 @@ from ..importing.recognise import (
     Hints,
     Recognition,
 )
+from ..importing.times import RateNeededError
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError
 from ..units import name_on, text_on, unit_in
@@ -77,7 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="COLUMN=UNIT",
         help="unit of a column: " + ", ".join(UNITS).replace("%", "%%"),
     )
-    roles.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if there is no time column")
+    roles.add_argument(
+        "--rate", type=float, metavar="HZ", help="samples per second, if no column is a time (a row number is none)"
+    )
+    roles.add_argument(
+        "--drop", action="store_true", help="accept that more than 1 %% of the rows are left out (no number, no time)"
+    )
     roles.add_argument(
         "--counts-per-turn", type=float, metavar="N", help="counts per revolution of a position in counts"
     )
@@ -106,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     hints, declared = _from_options(options)
-    logs = recognised_logs(options.logs, hints, Path(options.map) if options.map else None)
+    logs, hints = _recognised(options, hints)
     if not options.json:
         _print_tables(logs)
     if assumptions(logs) and not options.yes and not options.map:
@@ -125,6 +131,29 @@ def execute(options: argparse.Namespace) -> int:
         if assumptions(logs):
             print(f"assumed: {'; '.join(_as_assumed(guess, logs[0].found) for guess in assumptions(logs))}")
     return 0
+
+
+def _recognised(options: argparse.Namespace, hints: Hints) -> tuple[list[RecognisedLog], Hints]:
+    """The logs, recognised; at a terminal the sampling rate is asked for where nothing in a log says it."""
+    map_file = Path(options.map) if options.map else None
+    try:
+        return recognised_logs(options.logs, hints, map_file), hints
+    except RateNeededError as error:
+        if options.yes or options.json or not sys.stdin.isatty():
+            raise
+        print(error)
+    answer = input("samples per second: ").strip()
+    try:
+        hints = replace(hints, rate_hz=_positive("--rate", float(answer), "samples per second"))
+    except ValueError:
+        raise RecordingError(f"{answer!r} is no number of samples per second") from None
+    return recognised_logs(options.logs, hints, map_file), hints
+
+
+def _positive(name: str, value: float, what: str) -> float:
+    if not 0.0 < value < math.inf:
+        raise RecordingError(f"{name} {value:g}: give a positive number of {what}")
+    return value
 
 
 def _as_assumed(guess: Guess, found: Recognition) -> str:
@@ -166,11 +195,12 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     for name, value, what in (
         ("--rate", options.rate, "samples per second"), ("--counts-per-turn", options.counts_per_turn, "counts"),
     ):  # fmt: skip
-        if value is not None and not 0.0 < value < math.inf:
-            raise RecordingError(f"{name} {value:g}: give a positive number of {what}")
+        if value is not None:
+            _positive(name, value, what)
     hints = Hints(
         options.rate or mapping.rate_hz, options.counts_per_turn or mapping.counts_per_turn,
-        options.linear or mapping.linear, roles, known_units(units),
+        options.pole_pairs or mapping.facts.get("pole_pairs"), options.drop, options.linear or mapping.linear, roles,
+        known_units(units),
     )  # fmt: skip
     declared = dict(mapping.facts)
     given = {"torque_constant_nm_per_a": options.torque_constant} | {
@@ -221,7 +251,7 @@ def _asked(logs: list[RecognisedLog], hints: Hints) -> tuple[list[RecognisedLog]
 
 def _table(one: RecognisedLog) -> list[str]:
     """What was recognised, for people."""
-    lines = [f"{one.source.path}: {one.source.rows} rows"]
+    lines = [f"{one.source.said}: {one.source.rows} rows"]
     for guess in one.found.guesses:
         mark = " " if guess.sure else "?"
         name = name_on(guess.signal, unit_in(guess.signal), one.found.linear)

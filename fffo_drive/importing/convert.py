@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,10 +31,9 @@ from ..recording.schema import (
     schema_text,
 )
 from ..recording.writer import LIBRARY
-from ..signals import REFERENCE_POSITION, SIGNALS, Signal
+from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE, Signal
 from ..units import NS_PER_S, unit_on
-from .evidence import signed, unwrapped
-from .recognise import (
+from .candidates import (
     COMMAND_A,
     CURRENT_A,
     ENCODER_REV,
@@ -46,12 +45,13 @@ from .recognise import (
     Guess,
     Recognition,
 )
+from .evidence import bridged, signed, unwrapped
 from .source import Source
 
 FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
-WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV)
+WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV, TEMPERATURE.name)
 
 
 class Converted(NamedTuple):
@@ -59,6 +59,7 @@ class Converted(NamedTuple):
 
     columns: dict[str, Floats]
     remarks: tuple[str, ...]
+    left_out: int = 0  # rows that miss a number, or whose stamp is not later than all before
 
 
 def converted(source: Source, found: Recognition) -> Converted:
@@ -70,7 +71,10 @@ def converted(source: Source, found: Recognition) -> Converted:
     remarks = [*source.remarks, *found.remarks]
     if found.period_s is not None:
         columns[TIME_S] = np.arange(source.rows, dtype=np.float64) * found.period_s
+    if TEMPERATURE.name in columns:  # logged as it changes
+        columns[TEMPERATURE.name] = bridged(columns[TEMPERATURE.name])
     usable = np.logical_and.reduce([np.isfinite(values) for values in columns.values()])
+    left_out = int((~usable).sum())
     if not usable.all():
         remarks.append(f"{int((~usable).sum())} of {usable.size} rows miss a number and are left out: they are gaps")
     if found.enable is not None:
@@ -83,6 +87,7 @@ def converted(source: Source, found: Recognition) -> Converted:
             usable &= inside
     time_s = np.where(usable, columns[TIME_S], -np.inf)
     later = usable & np.concatenate([[True], time_s[1:] > np.maximum.accumulate(time_s)[:-1]])
+    left_out += int((usable & ~later).sum())
     if (usable & ~later).any():
         remarks.append(f"{int((usable & ~later).sum())} rows whose stamp is not later than all before are left out")
     if later.sum() < 2:
@@ -95,7 +100,7 @@ def converted(source: Source, found: Recognition) -> Converted:
         guess = found.of(SETPOINT_REV)
         assert guess is not None
         remarks.append(f"the reference is the derivative of {guess.column!r}")
-    return Converted(columns, tuple(remarks))
+    return Converted(columns, tuple(remarks), left_out)
 
 
 def usable(name: str, log: Converted, found: Recognition) -> Converted:
@@ -112,12 +117,15 @@ def usable(name: str, log: Converted, found: Recognition) -> Converted:
         except DataError:
             return log
         reason = str(error).removeprefix(f"{name}: ")
-        return Converted(rest, (*log.remarks, f"the velocity is left out, it contradicts the position: {reason}"))
+        return log._replace(
+            columns=rest,
+            remarks=(*log.remarks, f"the velocity is left out, it contradicts the position: {reason}"),
+        )
     return log
 
 
 def _values(source: Source, guess: Guess) -> Floats:
-    raw = signed(source.columns[guess.column], guess.unsigned)
+    raw = signed(source.columns[guess.column], guess.register)
     if guess.wrap is not None:
         raw = unwrapped(raw, guess.wrap)
     return np.asarray(raw * guess.factor)
@@ -145,10 +153,10 @@ def _facts_text(facts: DriveFacts) -> str:
     return yaml.safe_dump(content, sort_keys=False)
 
 
-def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts) -> None:
-    """The log as a recording of ours: rows at the stamps of the log, with the facts inside."""
+def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts, assumed: Sequence[str] = ()) -> None:
+    """The log as a recording of ours: rows at the stamps of the log, with the facts and what was `assumed` inside."""
     names = [name for name in WRITTEN if name in log.columns]
-    by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION)}
+    by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)}
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
     for name in names:
         own = by_name[name]
@@ -161,7 +169,7 @@ def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts)
         rows[name] = log.columns[name]
     metadata = {
         "tool": LIBRARY, "imported_from": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
-        "remarks": "\n".join(log.remarks),
+        "remarks": "\n".join([*(f"assumed: {one}" for one in assumed), *log.remarks]),
     }  # fmt: skip
     schema = Schema(
         id=1, name=ROW_TYPE, encoding=SCHEMA_ENCODING, data=schema_text(signals, "One sample of a log.").encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -12,10 +13,12 @@ from ..arrays import Floats
 from ..least_squares import least_squares
 
 LEAST_STEPS = 8
+LEAST_RUN_ROWS = 50  # of a run within a file
 STEADY = 0.5  # of the median step: of a time that scatters, most steps are within
 RISING_SHARE = 0.95
 MOSTLY = 0.9  # of the steps of a time
 COUNTS_TOLERANCE = 0.02
+DAY_S = 86_400.0
 ANGLE_WRAPS = (1.0, 2.0 * np.pi, 360.0, 4.0 * np.pi, 720.0)
 WHOLE_ANGLE_WRAPS = (360.0, 720.0)
 COUNTER_WRAPS = tuple(float(1 << bits) for bits in range(8, 33))
@@ -26,6 +29,8 @@ LARGE_JUMP = 0.5  # of the range: what a motion does not do in one sample
 SMOOTH_SAMPLES = 9
 SMOOTH_S = 0.01
 MOST_POINTS = 200_000  # from which a relation is recognised
+LEAST_REGISTER = 128.0  # of 8 bits: smaller numbers may be anything
+CROSSING = 4.0  # usual steps: how far a number may go where its sign changes
 OUTER = 0.25  # a signed number that is stored without its sign lies in the outer quarters of its range
 
 
@@ -44,6 +49,25 @@ def is_time(values: Floats) -> bool:
         return False
     usual = float(np.median(steps))
     return bool(np.mean(np.abs(steps - usual) < STEADY * usual) > RISING_SHARE)
+
+
+def counts_rows(values: Floats) -> bool:
+    """Whether values (n,) count rows: whole numbers that go on by one, but where some are lost or it begins anew."""
+    steps = np.diff(values[np.isfinite(values)])
+    return steps.size >= LEAST_STEPS and _are_whole(values) and float(np.mean(steps == 1.0)) > RISING_SHARE
+
+
+def begins_anew(stamps: Floats) -> list[slice]:
+    """The runs of one file: stretches of stamps (n,) at each end of which the clock goes back.
+
+    A step back by a few samples is none (stamps that scatter), nor is a stretch of a few rows.
+    """
+    places = np.flatnonzero(np.isfinite(stamps))
+    steps = np.diff(stamps[places])
+    usual = float(np.median(np.abs(steps))) if steps.size else 0.0
+    cuts = [0, *(places[1:][steps < -LEAST_STEPS * usual]).tolist(), stamps.size]
+    runs = [slice(first, last) for first, last in itertools.pairwise(cuts)]
+    return runs if all(run.stop - run.start >= LEAST_RUN_ROWS for run in runs) else [slice(0, stamps.size)]
 
 
 class Wrap(NamedTuple):
@@ -79,12 +103,13 @@ def wrap_of(values: Floats, turn: float | None = None) -> Wrap | None:
     return Wrap(float(round(found.size)) if whole and found.alike else None, found.size, False)
 
 
-def stamp_wrap_of(values: Floats) -> float | None:
-    """The range at which a counter of time begins anew; None where none does."""
+def stamp_wrap_of(values: Floats, day: float = math.inf) -> float | None:
+    """The range at which a counter of time begins anew, or a `day` in its unit; None where neither does."""
     found = _jumps(values)
-    if found is None or not _are_whole(values):
+    if found is None:
         return None
-    return next((at for at in STAMP_WRAPS if abs(found.size - at) <= found.doubt), None)
+    able = [*(STAMP_WRAPS if _are_whole(values) else ()), day]
+    return next((at for at in able if abs(found.size - at) <= found.doubt), None)
 
 
 class _Jumps(NamedTuple):
@@ -128,22 +153,73 @@ def unwrapped(values: Floats, wrap: float) -> Floats:
     return found
 
 
-def stored_without_sign(values: Floats) -> float | None:
-    """The range (65536 and such) of a signed number that was stored as an unsigned one; None where it was not."""
+class Register(NamedTuple):
+    """How a signed number lies in a register without a sign."""
+
+    kind: str
+    at: float  # two's complement: its range; else the smallest number with the sign's bit, or that stands for zero
+
+    @property
+    def said(self) -> str:
+        """In words, for the evidence."""
+        return f"stored as {self.kind} ({self.at:g}), sign restored"
+
+
+TWOS, MAGNITUDE, OFFSET = "two's complement", "sign and magnitude", "offset binary"
+
+
+def sign_bit_of(values: Floats) -> Register | None:
+    """The highest bit of whole positive numbers (n,), which may be their sign; None of others."""
     given = values[np.isfinite(values)]
-    if not given.size or given.min() < 0.0 or not _are_whole(given):
+    if given.size < LEAST_STEPS or given.min() < 0.0 or given.max() < LEAST_REGISTER or not _are_whole(given):
         return None
-    for bits in (16, 32):
-        whole = float(1 << bits)
-        if whole / 2.0 <= given.max() < whole:
-            middle = (given > OUTER * whole) & (given < (1.0 - OUTER) * whole)
-            return whole if not middle.any() and (given < OUTER * whole).any() else None
+    return Register(MAGNITUDE, 2.0 ** math.floor(math.log2(given.max())))
+
+
+def register_of(values: Floats, counter: bool = False) -> Register | None:
+    """The register that signed numbers (n,) were stored in without their sign; None where they were not.
+
+    `counter`: a position, which wraps and does not overflow. Feetech servos have the sign in bit 10, 11 or 15.
+    """
+    found = sign_bit_of(values)
+    if found is None:
+        return None
+    given, bit = values[np.isfinite(values)], found.at
+    if not counter and bit in (2.0**15, 2.0**31):
+        middle = (given > 2.0 * OUTER * bit) & (given < 2.0 * (1.0 - OUTER) * bit)
+        if not middle.any() and (given < 2.0 * OUTER * bit).any():
+            return Register(TWOS, 2.0 * bit)
+    crossing = np.diff(given >= bit)
+    raw, folded = np.abs(np.diff(given)), np.abs(np.diff(signed(given, found)))
+    if int(crossing.sum()) >= 2 and not crossing.all():
+        # through zero the number goes on as it does elsewhere; what lies in the register jumps by the bit
+        usual = CROSSING * float(np.quantile(folded[~crossing], 0.9)) + 1.0
+        if float(np.median(folded[crossing])) <= usual < float(np.median(raw[crossing])):
+            return found
     return None
 
 
-def signed(values: Floats, whole: float | None) -> Floats:
-    """Values with the sign that was lost; as they are where `whole`, their range, is None."""
-    return values if whole is None else np.where(values >= whole / 2.0, values - whole, values)
+def offset_of(values: Floats) -> Register | None:
+    """A power of two about which whole positive numbers (n,) swing to both sides, as of a converter without a sign."""
+    given = values[np.isfinite(values)]
+    if not given.size or given.min() < 0.0 or given.max() < LEAST_REGISTER or not _are_whole(given):
+        return None
+    zero = 2.0 ** round(math.log2(max(float(np.median(given)), 1.0)))
+    below, above = zero - float(given.min()), float(given.max()) - zero
+    balanced = min(below, above) > (1.0 - LARGE_JUMP) * max(below, above)
+    return Register(OFFSET, zero) if balanced and zero >= LEAST_REGISTER and below > OUTER**2 * zero else None
+
+
+def signed(values: Floats, register: Register | None) -> Floats:
+    """Values with the sign that was lost; as they are where there is no register."""
+    if register is None:
+        return values
+    kind, at = register
+    if kind == OFFSET:
+        return values - at
+    return np.where(
+        values >= (at if kind == MAGNITUDE else 0.5 * at), at - values if kind == MAGNITUDE else values - at, values
+    )
 
 
 def at_stamps(values: Floats, stamps: Floats, wanted: Floats, wrap: float | None = None) -> Floats:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
 from ..recording.errors import RecordingError
-from ..recording.scan import DamagedRecordError, Scanner
+from ..recording.scan import HEAD_SIZE, DamagedRecordError, Scanner, parse, record_data, segments
 from ..units import NS_PER_S
 from .evidence import at_stamps
 from .names import measured_wrap
@@ -19,63 +20,138 @@ from .source import Source, source_of_arrays
 from .units import split_name
 
 DEEPEST = 6
+MESSAGE_HEAD = 22  # channel u2, sequence u4, log time u8, publish time u8
+LEAST_LEFT_OVER = 4  # bytes: fewer may be padding
+MOST_CHECKED = 1 << 16  # bytes of a message of which the end is looked at: a picture is no log of an axis
+MOST_WRONG = 0.01  # of the messages of a topic that may not fit their schema
+LONGEST_REASON = 160
 LARGEST_ARRAY = 64  # numbers of a message that become columns: an image is no log of an axis
+
+
+class _Topic:
+    """What came of the messages of one channel."""
+
+    def __init__(self, channel: Channel, schema: Schema | None) -> None:
+        self.name, self.encoding, self.schema = channel.topic, channel.message_encoding, schema
+        self.rows: list[tuple[int, dict[str, float]]] = []  # stamps in ns: seconds since 1970 lose digits
+        self.wrong = 0
+        self.why = ""
+        self.checked = False
+        try:
+            self.decode = self._decoder()
+            kind = f"a schema in {schema.encoding!r}" if schema else "no schema"
+            self.refusal = "" if self.decode else f"has the encoding {self.encoding!r} with {kind}, which is not read"
+        except Exception as error:  # the parsers of schemas raise whatever their text leads them to
+            self.decode, self.refusal = None, f"has a schema that cannot be used ({_plain(error)})"
+
+    def _decoder(self) -> Callable[[bytes], Any] | None:
+        from mcap_protobuf.decoder import DecoderFactory as Protobuf
+        from mcap_ros2.decoder import DecoderFactory as Ros2
+
+        if self.encoding == "json":
+            return json.loads
+        made = (factory.decoder_for(self.encoding, self.schema) for factory in (Ros2(), Protobuf()))
+        return next(filter(None, made), None)
+
+    def take(self, log_time_ns: int, data: bytes) -> None:
+        """Decode one message; one that does not fit the schema is counted, and the first of them described."""
+        assert self.decode is not None
+        try:
+            value = self.decode(data)
+            numbers = dict(_numbers("", value))
+            if not self.checked and self.encoding == "cdr" and _left_over(self.decode, data):
+                raise ValueError("the message has bytes that the schema does not know")
+            self.checked = True
+        except Exception as error:  # struct.error, DecodeError, NotImplementedError, ...: one for each library
+            self.wrong += 1
+            self.why = self.why or _plain(error)
+            return
+        stamp_ns = _stamp_ns(numbers)
+        numbers = {name: value for name, value in numbers.items() if not _is_stamp(name)}
+        if numbers:
+            self.rows.append((log_time_ns if stamp_ns is None else stamp_ns, numbers))
+
+    @property
+    def lies(self) -> bool:
+        """Whether so many messages do not fit the schema that it is not theirs."""
+        return self.wrong > MOST_WRONG * (self.wrong + len(self.rows))
+
+    def remark(self) -> str | None:
+        """What was left out of the topic."""
+        if self.refusal:
+            return f"left out: topic {self.name} {self.refusal}"
+        if not self.wrong:
+            return None
+        own = f"topic {self.name}" if self.lies else f"messages of topic {self.name}"
+        every = self.wrong + len(self.rows)
+        return f"left out: {own}: {self.wrong} of {every} do not fit the schema, the first for {self.why}"
 
 
 def read_foreign_mcap(path: Path) -> Source:
     """All topics on the time of the one with the most messages: stamps of the header, else those of the log.
 
-    Raises RecordingError for a file that cannot be read, or that has no numbers in it.
+    A file that was never closed, or is damaged, is read as far as it goes. Raises RecordingError for one that cannot be
+    read, or that has no numbers in it.
     """
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory as Protobuf
-    from mcap_ros2.decoder import DecoderFactory as Ros2
-
-    topics: dict[str, list[tuple[int, dict[str, float]]]] = {}  # stamps in ns: seconds since 1970 lose digits
-    remarks: list[str] = []
-    try:
-        _check_chunks(path)
-        with path.open("rb") as file:
-            reader = make_reader(file)
-            decoders: dict[int, Any] = {}
-            for schema, channel, message in reader.iter_messages():
-                if channel.id not in decoders:
-                    decoders[channel.id] = _decoder(channel, schema, (Ros2(), Protobuf()))
-                    if decoders[channel.id] is None:
-                        remarks.append(f"left out: topic {channel.topic} has the encoding {channel.message_encoding!r}")
-                decode = decoders[channel.id]
-                if decode is None:
-                    continue
-                numbers = dict(_numbers("", decode(message.data)))
-                stamp_ns = _stamp_ns(numbers)
-                numbers = {name: value for name, value in numbers.items() if not _is_stamp(name)}
-                if numbers:
-                    time_ns = message.log_time if stamp_ns is None else stamp_ns
-                    topics.setdefault(channel.topic, []).append((time_ns, numbers))
-    except (McapError, DamagedRecordError, RecursionError, ValueError, LookupError, EOFError, OSError) as error:
-        raise RecordingError(f"{path}: not a readable MCAP file: {error}") from error
-    topics = {topic: rows for topic, rows in topics.items() if len(rows) > 1}
-    if not topics:
-        raise RecordingError(f"{path}: no topic with numbers in it" + ("; " + "; ".join(remarks) if remarks else ""))
-    return _joined(path, topics, remarks)
-
-
-def _check_chunks(path: Path) -> None:
-    """Unpack each chunk within its allowance, which mcap's reader does not have. Raises RecordingError."""
+    topics: dict[int, _Topic] = {}
+    schemas: dict[int, Schema] = {}
     with path.open("rb") as file:
         scanner = Scanner(file, str(path))
         for record in scanner:
-            if record.opcode == Opcode.CHUNK:
-                scanner.contents(record)
+            try:
+                data = scanner.contents(record) if record.opcode == Opcode.CHUNK else record_data(record)
+                if record.opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                    _take(data, schemas, topics)
+            except DamagedRecordError as error:
+                scanner.damage(record, str(error))
+                break
+    remarks = [text for topic in topics.values() if (text := topic.remark())]
+    if scanner.tear:
+        remarks.append(f"the file {scanner.tear}: read up to there (fffo-drive log recover mends it)")
+    found: dict[str, list[tuple[int, dict[str, float]]]] = {}
+    for topic in topics.values():
+        found.setdefault(topic.name, []).extend([] if topic.lies else topic.rows)
+    found = {name: rows for name, rows in found.items() if len(rows) > 1}
+    if not found:
+        raise RecordingError(f"{path}: no topic with numbers in it" + ("; " + "; ".join(remarks) if remarks else ""))
+    return _joined(path, found, remarks)
 
 
-def _decoder(channel: Any, schema: Any, factories: tuple[Any, ...]) -> Any:
-    if channel.message_encoding == "json":
-        return json.loads
-    return next(
-        (found for factory in factories if (found := factory.decoder_for(channel.message_encoding, schema))), None
-    )
+def _take(data: bytes, schemas: dict[int, Schema], topics: dict[int, _Topic]) -> None:
+    """The records of a chunk. Raises DamagedRecordError."""
+    for part in segments(data):
+        for k in range(part.repeats):
+            begin = part.offset + k * part.size
+            body = data[begin + HEAD_SIZE : begin + part.size]
+            if part.opcode == Opcode.SCHEMA:
+                schema = parse(Schema.read, body)
+                schemas[schema.id] = schema
+            elif part.opcode == Opcode.CHANNEL:
+                channel = parse(Channel.read, body)
+                topics.setdefault(channel.id, _Topic(channel, schemas.get(channel.schema_id)))
+            elif part.channel not in topics:
+                raise DamagedRecordError(f"a message of channel {part.channel}, which is not in the file")
+            elif topics[part.channel].decode is not None:
+                log_time_ns = int.from_bytes(body[6:14], "little")
+                topics[part.channel].take(log_time_ns, body[MESSAGE_HEAD:])
+
+
+def _left_over(decode: Callable[[bytes], Any], data: bytes) -> bool:
+    """Whether the last bytes of a CDR message mean nothing to its schema; up to three may be padding."""
+    if not LEAST_LEFT_OVER <= len(data) - LEAST_LEFT_OVER <= MOST_CHECKED:
+        return False
+    told = repr(decode(data))
+    for filler in (b"\x00", b"\xff"):
+        try:
+            if repr(decode(data[:-LEAST_LEFT_OVER] + LEAST_LEFT_OVER * filler)) != told:
+                return False
+        except Exception:  # as in `take`: they meant something
+            return False
+    return True
+
+
+def _plain(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".replace("\n", " ").strip()[:LONGEST_REASON]
 
 
 def _numbers(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,21 @@ class Source:
     period_s: float | None = None  # where the file declares it
     scalars: dict[str, float] = field(default_factory=dict)  # single numbers that came with the data
     remarks: tuple[str, ...] = ()  # what was left out, and why
+    run: int = 0  # of several in one file, from 1; 0: the only one
 
     @property
     def rows(self) -> int:
         """Number of samples."""
         return next(iter(self.columns.values())).size
+
+    @property
+    def said(self) -> str:
+        """The file, with the run where it holds several."""
+        return f"{self.path}, run {self.run}" if self.run else str(self.path)
+
+    def part(self, rows: slice, run: int) -> Source:
+        """Some of the rows, as a run."""
+        return replace(self, columns={name: values[rows] for name, values in self.columns.items()}, run=run)
 
 
 def _with_nothing(objects: npt.NDArray[Any]) -> npt.NDArray[Any]:

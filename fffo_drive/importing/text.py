@@ -23,7 +23,7 @@ from ..arrays import Floats
 from ..documents import counted
 from ..recording.errors import RecordingError
 from ..recording.files import table_text
-from .evidence import at_stamps
+from .evidence import DAY_S, at_stamps, unwrapped
 from .names import measured_wrap
 from .source import Source
 from .units import split_name, time_scale, unit_of
@@ -35,13 +35,20 @@ MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"
 WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0}
 MOST_UNREADABLE = 0.05  # of the rows or of a column's cells, that may be missing as unreadable
 COMMENTS = "#%"
+MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 TICKS_PER_MS = 10_000  # of a Windows FILETIME
 FILETIMES = 1e15  # no count of milliseconds is so large
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
 GROUPED = r"^[+-]?\d{1,3}(\.\d{3})+(,\d+)?$"  # thousands with dots, where the decimal sign is a comma
 _GROUPED = re.compile(GROUPED)
-_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
+_CLOCK = re.compile(  # of a day, or pandas' time since the begin
+    r"(?:(?P<days>-?\d+) days?,? )?(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?) ?(?P<half>[AP]M)?",
+    re.IGNORECASE,
+)
+_DATE = re.compile(
+    r"(?P<a>\d{1,4})(?P<sign>[./ -])(?P<b>\d{1,2}|[A-Za-z]{3})(?P=sign)(?P<c>\d{2,4})(?:[T ]+(?P<clock>.*))?"
+)
 _PERIOD = re.compile(
     r"(?:sampl\w*[ _-]*(?:period|time|interval)|cycle[ _-]*time|\bts)\W+?(?P<value>\d+(?:[.,]\d+)?)\W*"
     r"(?P<unit>[mµuμn]?s)\b",
@@ -76,7 +83,9 @@ def read_text(path: Path) -> Source:
         begin = text.index("\n", begin) + 1
     body = text[begin:]
     del text  # a log of 100 MB is in memory as often as somebody holds it
-    columns, remarks = _numbers(path, body, layout, names)
+    columns, stamps, remarks = _numbers(path, body, layout, names)
+    columns = _clocks(columns, stamps)
+    units |= {name: "s" for name in stamps if name in columns}
     remarks = unused + remarks
     if scope:
         columns, more = _on_one_time(columns, names, units)
@@ -118,18 +127,46 @@ def _value(cell: str, decimal: str) -> float | None:
     return _seconds(plain)
 
 
-def _seconds(text: str) -> float | None:
-    """A time of day, or a date, in seconds."""
+def _seconds(text: str, day_first: bool = True) -> float | None:
+    """A time of day, or a date, in seconds; of 01/03/2026 the day is the first but where `day_first` is False."""
     clock = _CLOCK.fullmatch(text)
     if clock:
-        return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3])
-    if len(text) >= len("2020-01-01") and text[:4].isdigit():
-        try:
-            stamp = datetime.datetime.fromisoformat(text.replace("/", "-"))
-        except ValueError:
+        hour = int(clock["h"])
+        if clock["half"]:
+            hour = hour % 12 + (12 if clock["half"].upper() == "PM" else 0)
+        whole = DAY_S * int(clock["days"] or 0) + 3600.0 * hour + 60.0 * int(clock["m"])
+        return whole + float(clock["s"].replace(",", "."))
+    if not text[:1].isdigit() or _NUMBER.fullmatch(text):
+        return None
+    try:
+        date = _DATE.fullmatch(text)
+        if date is None or len(date["a"]) == len("2026"):
+            stamp = datetime.datetime.fromisoformat(text.replace("/", "-") if date else text)
+            return stamp.replace(tzinfo=stamp.tzinfo or datetime.UTC).timestamp()
+        named = date["b"].isalpha()
+        day, month = int(date["a"]), MONTHS.index(date["b"].lower()) + 1 if named else int(date["b"])
+        if month > 12 or (date["sign"] == "/" and not day_first):
+            day, month = month, day
+        year = int(date["c"]) + (2000 if len(date["c"]) == 2 else 0)
+        of_day = _seconds(date["clock"]) if date["clock"] else 0.0
+        if of_day is None:
             return None
-        return stamp.replace(tzinfo=stamp.tzinfo or datetime.UTC).timestamp()
-    return None
+        return datetime.datetime(year, month, day, tzinfo=datetime.UTC).timestamp() + of_day
+    except (ValueError, OverflowError):
+        return None
+
+
+def _clocks(columns: dict[str, Floats], cells: Mapping[str, str]) -> dict[str, Floats]:
+    """Columns of a clock with the date beside them; a time of day alone goes on over midnight.
+
+    `cells`: one of each column of dates or of times of day, as it is written.
+    """
+    dates = [name for name, cell in cells.items() if ":" not in cell]
+    clocks = [name for name, cell in cells.items() if _CLOCK.fullmatch(cell)]
+    found = dict(columns)
+    for name in clocks:
+        found[name] = columns[name] + columns[dates[0]] if dates else unwrapped(columns[name], DAY_S)
+    return {name: values for name, values in found.items() if not clocks or name not in dates}
 
 
 def _layout(lines: Sequence[str], path: Path) -> Layout:
@@ -143,8 +180,20 @@ def _layout(lines: Sequence[str], path: Path) -> Layout:
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
     if best is None:
-        raise RecordingError(f"{path}: no lines of numbers in it")
+        raise RecordingError(f"{path}: no lines of numbers in it{_not_understood(lines)}")
     return best[1]
+
+
+def _not_understood(lines: Sequence[str]) -> str:
+    """The cell that keeps most lines from being numbers, where they hold some."""
+    rows = [(number, _cells(line, sign)) for number, line in enumerate(lines, 1) for sign in DELIMITERS]
+    other = {
+        number: (cells, [cell for cell in cells if _value(cell, ".") is None and _value(cell, ",") is None])
+        for number, cells in rows
+        if len(cells) > 2
+    }
+    near = [(number, left[0]) for number, (cells, left) in other.items() if 0 < 2 * len(left) < len(cells)]
+    return f": in line {near[0][0]} {near[0][1]!r} is neither a number nor a time" if near else ""
 
 
 def _read_as(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, Layout] | None:
@@ -246,8 +295,10 @@ def _declared_period_s(head: Sequence[str]) -> float | None:
     return None
 
 
-def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tuple[dict[str, Floats], list[str]]:
-    """All columns below the head, and what was left out."""
+def _numbers(
+    path: Path, body: str, layout: Layout, names: Sequence[str]
+) -> tuple[dict[str, Floats], dict[str, str], list[str]]:
+    """All columns below the head, a cell of each that holds dates or times of day, and what was left out."""
     import pyarrow
     from pyarrow import csv as parser
 
@@ -300,8 +351,16 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
         else []
     )
     found: dict[str, Floats] = {}
+    stamps: dict[str, str] = {}
+    headings = _repeated(table, labels, names)
+    if headings.any():
+        table = table.filter(pyarrow.array(~headings))
+        remarks.append(f"the heading is repeated {counted(int(headings.sum()), 'time')}")
+    rows = table.num_rows
     for name, label in zip(names, labels, strict=True):
-        values, unreadable = _column(table.column(label).combine_chunks(), layout.decimal)
+        values, unreadable, stamp = _column(table.column(label).combine_chunks(), layout.decimal)
+        if stamp is not None:
+            stamps[name] = stamp
         if unreadable.size:
             place = f"line {_line_of(body, layout, int(unreadable[0])) + 1}, column {name!r}"
             cell = table.column(label)[int(unreadable[0])].as_py()
@@ -319,16 +378,35 @@ def _numbers(path: Path, body: str, layout: Layout, names: Sequence[str]) -> tup
         found[name] = values
     if not found:
         raise RecordingError(f"{path}: no column of numbers in it")
-    return found, remarks
+    return found, {name: cell for name, cell in stamps.items() if name in found}, remarks
 
 
-def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Numbers (n,) of cells of text, and the rows that hold something else."""
+def _repeated(table: Any, labels: Sequence[str], names: Sequence[str]) -> npt.NDArray[np.bool_]:
+    """The rows that are the heading once more."""
+    import pyarrow
+    from pyarrow import compute
+
+    cells = table.column(labels[0])
+    if pyarrow.types.is_floating(cells.type):
+        return np.zeros(table.num_rows, bool)
+    words = compute.match_substring_regex(cells, r"^\s*[^\d\s+.,-]")
+    rows = np.flatnonzero(np.asarray(words.to_numpy(zero_copy_only=False), dtype=bool))
+    same = np.zeros(table.num_rows, bool)
+    for row in rows.tolist():
+        same[row] = all(
+            split_name(table.column(label)[row].as_py())[0] == name.split(" (")[0]
+            for label, name in zip(labels, names, strict=True)
+        )
+    return same
+
+
+def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64], str | None]:
+    """Numbers (n,) of cells of text, the rows that hold something else, and a cell that is a date or a time of day."""
     import pyarrow
     from pyarrow import compute
 
     if pyarrow.types.is_floating(cells.type):
-        return np.asarray(cells.to_numpy(zero_copy_only=False), dtype=np.float64), np.zeros(0, np.int64)
+        return np.asarray(cells.to_numpy(zero_copy_only=False), dtype=np.float64), np.zeros(0, np.int64), None
     plain = compute.utf8_trim_whitespace(cells)
     if decimal == ",":
         grouped = compute.match_substring_regex(plain, GROUPED)
@@ -343,7 +421,14 @@ def _column(cells: Any, decimal: str) -> tuple[Floats, npt.NDArray[np.int64]]:
         if value is None:
             wrong.append(int(row))
         found[row] = np.nan if value is None else value
-    return found, np.array(wrong, dtype=np.int64)
+    begin = next((cell for cell in plain.to_pylist() if cell and cell.lower() not in MISSING), "")
+    if _seconds(begin) is None or len(wrong) > MOST_UNREADABLE * found.size:
+        return found, np.array(wrong, dtype=np.int64), None
+    if "/" in begin:  # of two orders of day and month, the one in which less time passes
+        other = np.array([_seconds(cell, day_first=False) or np.nan for cell in plain.to_pylist()])
+        spans = [float(np.nanmax(one) - np.nanmin(one)) for one in (other, found)]
+        found = other if begin.upper().endswith("M") or spans[0] < spans[1] else found
+    return found, np.array(wrong, dtype=np.int64), begin
 
 
 def _body_lines(body: str, layout: Layout) -> Iterator[tuple[int, int]]:

@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 from ..units import S_PER_MIN, TWO_PI
 
-TIME, ANGLE, SPEED, CURRENT, TORQUE, VOLTAGE, LENGTH, PACE, FORCE, SHARE, COUNT = (
-    "time", "angle", "speed", "current", "torque", "voltage", "length", "linear speed", "force", "share", "count"
+TIME, ANGLE, SPEED, CURRENT, TORQUE, VOLTAGE, LENGTH, PACE, FORCE, SHARE, COUNT, TEMPERATURE = (
+    "time", "angle", "speed", "current", "torque", "voltage", "length", "linear speed", "force", "share", "count",
+    "temperature",
 )  # fmt: skip
+ELECTRIC = "erpm"  # turns of the field in a minute: pole pairs times those of the motor
 
 
 class Unit(NamedTuple):
@@ -26,7 +28,7 @@ UNITS = {
     "rev": Unit(ANGLE, 1.0), "rad": Unit(ANGLE, 1.0 / TWO_PI), "deg": Unit(ANGLE, _DEG),
     "mrad": Unit(ANGLE, 1e-3 / TWO_PI),
     "rps": Unit(SPEED, 1.0), "rpm": Unit(SPEED, 1.0 / S_PER_MIN), "rad/s": Unit(SPEED, 1.0 / TWO_PI),
-    "deg/s": Unit(SPEED, _DEG),
+    "deg/s": Unit(SPEED, _DEG), ELECTRIC: Unit(SPEED, 1.0 / S_PER_MIN),
     "A": Unit(CURRENT, 1.0), "mA": Unit(CURRENT, 1e-3),
     "Nm": Unit(TORQUE, 1.0), "mNm": Unit(TORQUE, 1e-3), "kNm": Unit(TORQUE, 1e3),
     "V": Unit(VOLTAGE, 1.0), "mV": Unit(VOLTAGE, 1e-3),
@@ -34,7 +36,7 @@ UNITS = {
     "m/s": Unit(PACE, 1.0), "mm/s": Unit(PACE, 1e-3), "mm/min": Unit(PACE, 1e-3 / S_PER_MIN),
     "N": Unit(FORCE, 1.0), "kN": Unit(FORCE, 1e3),
     "%": Unit(SHARE, 1e-2), "permille": Unit(SHARE, 1e-3),
-    "counts": Unit(COUNT, 1.0),
+    "counts": Unit(COUNT, 1.0), "degC": Unit(TEMPERATURE, 1.0),
 }  # fmt: skip
 _SPELLINGS = {
     "s": "sec secs second seconds sek sekunden",
@@ -46,7 +48,7 @@ _SPELLINGS = {
     "rad": "radian radians rads",
     "deg": "degree degrees grad °",
     "rps": "rev/s turns/s turn/s r/s u/s 1/s s-1 revs/s rev/sec",
-    "rpm": "1/min min-1 u/min rev/min r/min umdr/min u/min- rpm. min^-1",
+    "rpm": "1/min min-1 u/min rev/min r/min umdr/min tr/min giri/min u/min- rpm. min^-1",
     "rad/s": "rad/sec rads rad.s-1 rad*s-1 rad/s^1 rad_s radps rad/second",
     "deg/s": "°/s deg/sec grad/s degps deg_s degrees/s",
     "A": "amp amps ampere amperes arms a_rms apk",
@@ -60,6 +62,7 @@ _SPELLINGS = {
     "mm/s": "mm/sec",
     "%": "percent pct prozent %rated",
     "permille": "‰ 0.1% promille per_mille 1/1000",
+    "degC": "c °c celsius deg_c degree_c",
     "counts": "count cnt cnts inc incs increments ticks tick qc pulses pulse digits lsb",
 }
 # spelled alike but for their case: torque and milli, not mega
@@ -70,14 +73,17 @@ _ALIASES = {
 }
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
 _NO_UNIT = re.compile(r"[\d\s.,:-]*")  # in brackets: an index, or nothing
-_CURRENT = re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE)
-_SLASHED = re.compile(r"^(?P<name>[^/]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
+_OF_INDICES = {  # letters that are units after these words alone
+    "a": re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE),
+    "c": re.compile(r"temp", re.IGNORECASE),
+}
+_SLASHED = re.compile(r"^(?P<name>[^/\[({]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
 _SUFFIX = re.compile(r"^(?P<name>.*?[a-z0-9])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+)$", re.IGNORECASE)
 _PER = re.compile(r"[ _]*per[ _]*")
 # a suffix like _a or _m may be an index as well: these may not
 _SAFE_SUFFIXES = {
     "s", "ms", "us", "ns", "sec", "rev", "rad", "deg", "rps", "rpm", "ma", "nm", "mnm", "amps", "counts", "inc",
-    "ticks", "mm", "radps", "degps", "a", "mps",
+    "ticks", "mm", "radps", "degps", "a", "mps", "erpm", "c", "degc",
 }  # fmt: skip
 
 
@@ -92,15 +98,17 @@ def unit_of(text: str) -> str | None:
 
 
 def split_name(text: str) -> tuple[str, str | None]:
-    """A heading as name and unit: "Velocity [rpm]", "speed_rpm", "Zeit / ms"."""
+    """A heading as name and unit: "Velocity [rpm]", "speed_rpm", "Zeit / ms", "rpm"."""
     plain = text.strip().strip("\"'").strip()
+    if (whole := unit_of(plain)) and UNITS[whole].measures == SPEED:
+        return plain, whole
     for pattern in (_BRACKETS, _SLASHED):
         found = pattern.match(plain)
         if found and (unit := unit_of(found["unit"])):
             return found["name"].strip() or plain, unit
     found = _SUFFIX.match(plain)
-    if found and found["unit"].lower() == "a" and not _CURRENT.search(found["name"]):
-        return plain, None  # an index: x_a, phase_a
+    if found and (needed := _OF_INDICES.get(found["unit"].lower())) and not needed.search(found["name"]):
+        return plain, None  # an index: x_a, phase_c
     if found and (found["unit"].lower() in _SAFE_SUFFIXES or "_" in found["unit"]):
         unit = unit_of(re.sub(r"_(per_)?", "/", found["unit"].lower()) if "_" in found["unit"] else found["unit"])
         if found["unit"].lower() == "nm":

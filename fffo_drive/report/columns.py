@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..arrays import Floats
-from ..importing.evidence import smooth_derivative
-from ..importing.recognise import (
+from ..importing.candidates import (
     COMMAND_A,
     CURRENT_A,
     ENCODER_REV,
@@ -18,6 +17,7 @@ from ..importing.recognise import (
     VELOCITY_RPS,
     Guess,
 )
+from ..importing.evidence import smooth_derivative
 from ..units import name_on, text_on, unit_in, unit_on
 from .figures import TIME, Figure, PlotAxis, Series
 

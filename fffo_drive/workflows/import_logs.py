@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -12,18 +13,21 @@ from pydantic import Field
 from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
-from ..identification.dataset import DataError, distinct_names, load_record, one_rate
+from ..identification.dataset import DataError, distinct_names, load_record, one_rate, short_name
 from ..identification.facts import DriveFacts
+from ..importing.candidates import RECOGNISED, Guess, Hints, Recognition
 from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
 from ..importing.read import read_source
-from ..importing.recognise import RECOGNISED, Guess, Hints, Recognition, recognise
+from ..importing.recognise import recognise
 from ..importing.source import Source
+from ..importing.times import runs_of
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError
 
 MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
 COLUMNS_NAME = "columns.png"
+MOST_LEFT_OUT = 0.01  # of the rows of a run, without --drop
 OTHER_SUFFIXES = {".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc"}
 
 
@@ -61,9 +65,45 @@ class Imported(NamedTuple):
 
 
 def recognised(source: Source, hints: Hints) -> RecognisedLog:
-    """Recognise the columns of a log, given the user's hints. Raises RecordingError."""
+    """Recognise the columns of a log, given the user's hints. Raises RecordingError, also for rows that do not fit."""
     found = recognise(source, hints)
-    return RecognisedLog(source, found, usable(str(source.path), converted(source, found), found))
+    log = usable(str(source.path), converted(source, found), found)
+    if log.left_out > MOST_LEFT_OUT * source.rows and not hints.drop:
+        why = "; ".join(remark for remark in log.remarks if "left out" in remark and "row" in remark)
+        raise RecordingError(
+            f"{source.said}: {100.0 * log.left_out / source.rows:.3g} % of its rows would be left out ({why}): "
+            "--drop accepts that"
+        )
+    return RecognisedLog(source, found, log)
+
+
+def _recognised_runs(runs: Sequence[Source], hints: Hints) -> list[RecognisedLog]:
+    """The runs of one file, which have one meaning: that of the longest."""
+    longest = max(runs, key=lambda run: run.rows)
+    first = recognised(longest, hints)
+    if len(runs) == 1:
+        return [first]
+    roles = dict.fromkeys(RECOGNISED, "") | {guess.signal: guess.column for guess in first.found.guesses}
+    place = first.found.of("position_rev")
+    known = replace(
+        hints,
+        roles={**roles, **hints.roles},
+        units={g.column: g.unit for g in first.found.guesses if g.unit in UNITS} | dict(hints.units),
+        rate_hz=hints.rate_hz or (1.0 / first.found.period_s if first.found.period_s else None),
+        counts_per_turn=1.0 / abs(place.factor) if place and place.unit == "counts" else hints.counts_per_turn,
+        linear=first.found.linear,
+    )
+    return [first if run is longest else _as_unsure(recognised(run, known), first.found) for run in runs]
+
+
+def _as_unsure(one: RecognisedLog, first: Recognition) -> RecognisedLog:
+    """A run with the assumptions of another one of its file, whose columns and units it was given."""
+    open_ones = {guess.signal: guess for guess in first.guesses if not guess.sure}
+    guesses = tuple(
+        guess._replace(sure=False, evidence=open_ones[guess.signal].evidence) if guess.signal in open_ones else guess
+        for guess in one.found.guesses
+    )
+    return one._replace(found=one.found._replace(guesses=guesses))
 
 
 def recognised_logs(
@@ -77,7 +117,7 @@ def recognised_logs(
     sources = [read_source(Path(path)) for path in paths]
     if map_file is not None:
         refuse(map_file, [problem for source in sources for problem in _not_in(source, hints, read_map(map_file))])
-    return [recognised(source, hints) for source in sources]
+    return [one for source in sources for one in _recognised_runs(runs_of(source, hints), hints)]
 
 
 def _not_in(source: Source, hints: Hints, mapping: ImportMap) -> list[tuple[str, str]]:
@@ -138,13 +178,14 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
         )
     facts = facts_of(found, declared)
     out.mkdir(parents=True, exist_ok=True)
-    names = distinct_names([_plain_name(one.source.path) for one in logs])
+    names = distinct_names([_plain_name(one.source) for one in logs])
     paths = [out / f"{name.replace('/', '_')}.mcap" for name in names]
     taken = next((path for path in paths if path.exists()), None)
     if taken is not None:
         raise RecordingError(f"{taken}: exists already and is not overwritten: give another --out")
     for one, path in zip(logs, paths, strict=True):
-        write_recording(path, one.source.path, one.log, facts)
+        assumed = [f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in one.found.guesses if not g.sure]
+        write_recording(path, one.source.path, one.log, facts, assumed)
     write_facts(out / FACTS_NAME, facts)
     _draw_columns(out / COLUMNS_NAME, logs[0])
     (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared), sort_keys=False), encoding="utf-8")
@@ -165,9 +206,10 @@ def _draw_columns(path: Path, one: RecognisedLog) -> None:
     write_overview(rows, [path])
 
 
-def _plain_name(path: Path) -> Path:
-    """The path without the extensions of the file type."""
-    return path.with_suffix("") if path.suffix.lower() in OTHER_SUFFIXES else path
+def _plain_name(source: Source) -> Path:
+    """The path without the extensions of the file type, with the number of the run where the file holds several."""
+    path = source.path.with_suffix("") if source.path.suffix.lower() in OTHER_SUFFIXES else source.path
+    return path if not source.run else path.with_name(f"{short_name(path)}_run{source.run}")
 
 
 def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str, Any]:

@@ -20,9 +20,10 @@ from importing.axis_log import (
     units_of,
 )
 
+from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.convert import converted, facts_of, write_recording
 from fffo_drive.importing.read import read_source
-from fffo_drive.importing.recognise import Hints, recognise
+from fffo_drive.importing.recognise import recognise
 from fffo_drive.importing.source import source_of_arrays
 from fffo_drive.recording.reader import read_run
 

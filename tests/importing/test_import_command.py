@@ -18,9 +18,10 @@ from fffo_drive.cli import main
 from fffo_drive.cli.exits import EXIT_BAD_INPUT
 from fffo_drive.identification.dataset import load_record
 from fffo_drive.identification.facts import read_facts
+from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.convert import converted
 from fffo_drive.importing.read import read_source
-from fffo_drive.importing.recognise import Hints, recognise
+from fffo_drive.importing.recognise import recognise
 from fffo_drive.report.columns import column_figures
 from fffo_drive.workflows.import_logs import assumptions, recognised_logs, write_import
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from importing.axis_log import PERIOD_S, truth
 
+from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.convert import converted
-from fffo_drive.importing.recognise import Hints, recognise
+from fffo_drive.importing.recognise import recognise
 from fffo_drive.importing.source import source_of_arrays
 from fffo_drive.recording.errors import RecordingError
 

@@ -10,9 +10,10 @@ from importing.axis_log import truth
 
 from fffo_drive.identification.dataset import record_of_columns
 from fffo_drive.identification.regression import regression_start
+from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.convert import converted, facts_of
 from fffo_drive.importing.evidence import at_stamps, stamp_wrap_of, wrap_of
-from fffo_drive.importing.recognise import Hints, recognise
+from fffo_drive.importing.recognise import recognise
 from fffo_drive.importing.source import source_of_arrays
 
 RESOLUTIONS = [500, 1000, 2000, 2500, 3600, 4000, 4096, 5000, 8000, 8192, 10_000, 16_000, 65_536]
