@@ -226,7 +226,7 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
         f"of 0.25 and 0.5 s: the {words.torque} residual, integrated with the model's {words.text('inertia')} "
         f"along the measured motion, without the mean {words.torque} of each window. 95 % intervals from resampled "
         "blocks. "
-        f"Below the held-out runs: those parts in which each effect acts, without and with it. "
+        "Below the held-out runs: those parts in which each effect acts, without and with it. "
         f"{ceiling.note.capitalize()}.{floor}"
     )
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
