@@ -158,7 +158,8 @@ def _positive(name: str, value: float, what: str) -> float:
 
 def _as_assumed(guess: Guess, found: Recognition) -> str:
     name = name_on(guess.signal, unit_in(guess.signal), found.linear)
-    return f"{name} is {guess.column!r} in {found.torque_unit if guess.unit == '-' else guess.unit}"
+    unit = found.torque_unit if guess.signal in (COMMAND_A, CURRENT_A) else "a unit of its own"
+    return f"{name} is {guess.column!r} in {unit if guess.unit == '-' else guess.unit}"
 
 
 def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) -> None:

@@ -32,6 +32,7 @@ from .evidence import (
     bridged,
     driven_by,
     is_flag,
+    register_of,
     relation,
     says_nothing,
     sign_bit_of,
@@ -214,6 +215,8 @@ class _Recogniser(Motions):
             )
         if not found:
             unnamed = [c for c in self._free() if c.meaning.quantity is None and not is_flag(c.values)]
+            unnamed = [self._with_sign(c, velocity, acceleration) for c in unnamed]
+            self.columns |= {c.name: c for c in unnamed}
             shares = {
                 c.name: driven_by(c.values, velocity, acceleration).share for c in self._no_motion(unnamed, velocity)
             }
@@ -237,7 +240,10 @@ class _Recogniser(Motions):
     ) -> Column | None:
         """What drives the axis: measured before unsaid, and before what inertia and friction explain too well."""
         if signal in self.hints.roles:
-            return self._hinted(signal)
+            hinted = self._hinted(signal)
+            if hinted is not None:
+                self.columns[hinted.name] = hinted = self._with_sign(hinted, velocity, acceleration)
+            return hinted
         candidates = self._candidates(signal, quantity, asked)
         found = self._no_motion(candidates, velocity)
         if candidates and not found:
@@ -260,6 +266,8 @@ class _Recogniser(Motions):
 
         Friction lets a current jump through zero: its steps alone do not show the bit, as those of a velocity do.
         """
+        if column.meaning.quantity is None and (known := register_of(column.values)) is not None:
+            return column._replace(values=signed(column.values, known), register=known)
         found = sign_bit_of(column.values)
         if column.register is not None or found is None:
             return column

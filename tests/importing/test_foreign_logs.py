@@ -345,6 +345,13 @@ def test_the_sign_in_a_bit_is_restored(past_zero, bit):
     assert "sign restored" in one.found.of("velocity_rps").evidence
 
 
+@pytest.mark.parametrize("roles", [{}, {"current_command_a": "x"}], ids=["by the motion", "as the user says"])
+def test_a_current_without_a_name_gets_its_sign_back(roles):
+    raw = np.mod(np.round(1000.0 * LOG.current_a), 65_536.0)
+    one = imported({"time_s": LOG.time_s, "pos_rev": LOG.position_rev, "x": raw}, roles=roles)
+    np.testing.assert_allclose(one.log.columns["current_command_a"], 1000.0 * LOG.current_a, atol=0.51)
+
+
 def test_a_number_about_half_of_its_range_is_offset_and_asked_about():
     columns = {
         "time_s": LOG.time_s,
