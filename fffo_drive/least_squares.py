@@ -13,10 +13,12 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from .arrays import Floats, Integers, Mask
+from .units import MAD_TO_SD
 
 Point = TypeVar("Point")
 
 SINGULAR = 1e-12  # share of the largest eigenvalue or squared length, below which nothing is determined
+REWEIGHTED = 3  # rounds of robust least squares
 HUBER = 3.0  # standard deviations beyond which Huber's loss grows linearly
 
 
@@ -94,6 +96,19 @@ def least_squares(columns: Floats, target: Floats, weight: Floats | None = None)
     found = spectrum(normal.matrix)
     values = found.solution(normal.moment)
     return LinearFit(values, target - columns @ values, found)
+
+
+def robust_least_squares(columns: Floats, target: Floats) -> tuple[LinearFit, float, float]:
+    """`columns` (m, p) fitted to `target` (m,) with Huber's loss: the last fit, its mean loss, and the scale of it.
+
+    The scale is the standard deviation of the middle of the residuals. `cost` of the fit is without the weights.
+    """
+    weight = np.ones(target.size)
+    for _ in range(REWEIGHTED):
+        fit = least_squares(columns, target, weight)
+        scale = max(MAD_TO_SD * float(np.median(np.abs(fit.residual))), 1e-300)
+        weight = huber_weights(fit.residual, HUBER * scale)
+    return fit, float(np.mean(weight * fit.residual**2)), scale
 
 
 def sums_by(group: Integers, rows: Floats) -> Floats:

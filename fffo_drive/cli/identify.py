@@ -22,7 +22,7 @@ from ..identification.cyclic import cyclic_lines
 from ..identification.dataset import load_records, where_command_acts
 from ..identification.results import INERTIA
 from ..model.parameters import write_model
-from ..report.identify import IdentifySource, identify_report, tune_command
+from ..report.identify import NOT_TUNE, IdentifySource, identify_report, tune_command
 from ..report.page import refuse_other_report, write_report
 from ..units import inertia_kg_m2, text_on
 from ..workflows.identify import identify
@@ -86,7 +86,7 @@ def execute(options: argparse.Namespace) -> int:
             print("\n".join(cyclic_lines(found.cyclic)))
         print(out / MODEL_NAME)
         print(paths.page)
-        print(f"next: {tune_command(source)}")
+        print("next: " + (tune_command(source) if page.verdict.next_step == "tune" else NOT_TUNE))
     return 0
 
 
@@ -97,7 +97,7 @@ def _print(result: dict[str, Any]) -> None:
         scale, unit = 1.0, row["unit"]
         if row["name"] == INERTIA and result["units"] == "rotary":  # as the model file and the page have it
             scale, unit = inertia_kg_m2(1.0), "kg m2"
-        sd = "at a bound" if row["sd"] is None else f"{scale * row['sd']:.2g}"
+        sd = row["source"] if row["sd"] is None else f"{scale * row['sd']:.2g}"
         print(f"{row['symbol']:>10} {scale * row['value']:>12.5g} +- {sd:<10} {unit}")
     for effect in result["effects"]:
         print(effect_line(effect))

@@ -7,7 +7,6 @@ bias the inertia.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ..identification.ranking import first_best
 from ..identification.regression import TorqueStart, start_problems
 from ..identification.rows import turns_one_way
 from ..identification.threads import in_threads
-from ..least_squares import HUBER, huber, huber_weights, least_squares
+from ..least_squares import huber, robust_least_squares
 from ..units import MAD_TO_SD
 from .base import balanced, delayed, residual_rows
 from .fitting import Data
@@ -28,27 +27,7 @@ from .rows import DiagnosisRows, DiagnosisStretch
 
 DELAYS_S = tuple(0.001 * k for k in range(13))
 BUMPS = (0.03, 0.06, 0.12, 0.25)  # Stribeck speeds that are tried, in shares of the top speed
-REWEIGHTED = 3  # rounds of the robust regression
 LEAST_LEVEL = 0.01  # smallest friction, of the rms torque
-
-
-class Regression(NamedTuple):
-    """Least squares on rows: coefficients, the mean loss, and the robust residual level."""
-
-    values: Floats
-    cost: float
-    level: float
-
-
-def regressed(columns: Sequence[Floats], torque: Floats) -> Regression:
-    """Robust least squares of `torque` (m,) on columns (m,) each."""
-    matrix = np.column_stack(columns)
-    weight = np.ones(torque.size)
-    for _ in range(REWEIGHTED):
-        fit = least_squares(matrix, torque, weight)
-        level = max(MAD_TO_SD * float(np.median(np.abs(fit.residual))), 1e-300)
-        weight = huber_weights(fit.residual, HUBER * level)
-    return Regression(fit.values, float(np.mean(weight * fit.residual**2)), level)
 
 
 def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> tuple[TorqueStart, float]:
@@ -69,15 +48,16 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
         ]
         return np.concatenate(parts)[used]
 
-    costs = [regressed(known, torque(delay_s)).cost for delay_s in DELAYS_S]
+    matrix = np.column_stack(known)
+    costs = [robust_least_squares(matrix, torque(delay_s))[1] for delay_s in DELAYS_S]
     delay_s = DELAYS_S[int(np.argmin(costs))]
     target = torque(delay_s)
-    best, speed, excess = regressed(known, target), 0.1 * top, 0.0
+    (best, loss, level), speed, excess = robust_least_squares(matrix, target), 0.1 * top, 0.0
     for share in BUMPS:
         bump = sign * np.exp(-np.abs(velocity) / (share * top))
-        found = regressed([*known, bump], target)
-        if found.values[-1] > 0.0 and found.values[2] > 0.0 and found.cost < best.cost:
-            best, speed, excess = found, share * top, float(found.values[-1])
+        found, its_loss, its_level = robust_least_squares(np.column_stack([matrix, bump]), target)
+        if found.values[-1] > 0.0 and found.values[2] > 0.0 and its_loss < loss:
+            best, loss, level, speed, excess = found, its_loss, its_level, share * top, float(found.values[-1])
     inertia, viscous, coulomb = (float(x) for x in best.values[:3])
     size = float(np.sqrt(np.mean(target**2)))
     coulomb = max(coulomb, LEAST_LEVEL * size)
@@ -85,7 +65,7 @@ def rigid_start(stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> t
         inertia, max(viscous, 1e-3 * coulomb / top), coulomb, coulomb + min(max(excess, 0.02 * coulomb), 4.0 * coulomb),
         speed, 1.0, delay_s, 0.0, float(best.values[3]),
     )  # fmt: skip
-    return start, best.level
+    return start, level
 
 
 def starting_data(

@@ -197,14 +197,14 @@ class DelaySums:
         return BalanceMotion(is_one_way(*self._ways.tolist()), max(0.0, high - low))
 
     def delay_s(self) -> float:
-        """As `delay_between`."""
+        """Where the balance leaves least, as `rigid_balance`."""
         delays = np.arange(0, self._delays - 1, 2)
         rigid = np.array([INERTIA, VISCOUS, COULOMB, OFFSET])
         basis = spectrum(self._gram[np.ix_(rigid, rigid)]).basis()
         torque = len(PARAMETERS) + delays
         explained = np.sum((basis.T @ self._gram[np.ix_(rigid, torque)]) ** 2, axis=0)
         costs: Floats = self._gram[torque, torque] - explained
-        return parabola_minimum(np.asarray(delays * self._period_s, dtype=np.float64), costs)
+        return parabola_minimum(np.asarray(delays * self._period_s, dtype=np.float64), costs) or 0.0
 
     def balance(self, delay_s: float, facts: DriveFacts, motion: BalanceMotion) -> Balance:
         """At a delay; the effective rows are left to those who know the residual."""

@@ -22,6 +22,7 @@ LOGARITHMIC = frozenset(PARAMETERS).difference(("delay_s", "stribeck_exponent", 
 LOG_SPAN = math.log(1e3)  # a positive parameter stays within this factor of its start
 STRIBECK_EXPONENTS = (0.3, 3.0)
 LONGEST_DELAY_S = 0.1
+LONGEST_PRESLIDING = {"rotary": 0.05, "linear": 1e-3}  # 1/K of a machine, rev and m: 18 degrees of a motor, 1 mm
 
 
 class Coordinates(NamedTuple):
@@ -42,9 +43,10 @@ def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per
 
 
 def coordinates(
-    physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False, most_static_nm: float = math.inf
+    physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False, most_static_nm: float = math.inf,
+    least_stiffness_per_rev: float = 0.0,
 ) -> Coordinates:  # fmt: skip
-    """Coordinates around a start. `free`: the fitted parameters; the others are held. `most_static_nm` bounds Fs."""
+    """Coordinates around a start. `free`: the fitted parameters; the others are held. The last two bound Fs and K."""
     names = PARAMETERS
     torque_nm = float(physical[names.index("coulomb_nm")])
     scale = np.ones(len(names))
@@ -63,6 +65,9 @@ def coordinates(
         low[k], high[k] = bounds[0] / scale[k], bounds[1] / scale[k]
     static = names.index("static_nm")
     high[static] = max(values[static], min(high[static], math.log(most_static_nm)))
+    if least_stiffness_per_rev > 0.0:
+        stiffness = names.index("stiffness_per_rev")
+        low[stiffness] = min(values[stiffness], max(low[stiffness], math.log(least_stiffness_per_rev)))
     for k, name in enumerate(names):
         if name not in free:
             low[k] = high[k] = values[k]

@@ -22,10 +22,13 @@ from ..recording.reader import Run
 from ..recording.table import SUFFIXES, LogTable, column_names, read_table
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
-from .timebase import at_lower_rate, on_even_grid
+from .impossible import impossible_lines, impossible_samples, resolution
+from .timebase import Even, at_lower_rate, on_even_grid
 
 SHORTEST_S = 1.0
-LEAST_RATE_HZ = 50.0  # below it the filters leave hardly 1 Hz: acceleration, break-away and delay cannot be seen
+LEAST_RATE_HZ = 20.0  # below it the filters leave hardly 1 Hz: an acceleration cannot be seen
+LOW_RATE_HZ = 100.0  # below it break-aways, delay and single bad samples cannot be seen
+CUTOFF_PERIODS = 0.1  # of the rate: the highest cut-off of a fit
 SHORTEST_STRETCH_S = 0.1  # between gaps: data shorter than the filters' memory are useless
 SHORTEST_STRETCH_SAMPLES = 20
 SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate
@@ -54,6 +57,12 @@ TAKEN = (  # columns of a log that a fit may use
     "time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps",
     "reference_position_rev", "statusword",
 )  # fmt: skip
+IN_WORDS = {
+    "position_rev": "positions",
+    "velocity_rps": "velocities",
+    "current_command_a": "currents",
+    "current_a": "currents",
+}
 LIMITED = "limited"  # a column in place of the statusword: 1 where the drive was at its limit
 LIMIT_MARGIN_S = 0.01  # around a limit: the command acts late, and the current loop settles
 
@@ -310,9 +319,10 @@ def _unchecked(
     path: Path, columns: dict[str, Any], fresh: Mask | None, facts: DriveFacts, warnings: list[str], digest: str
 ) -> Record:  # fmt: skip
     time_s = columns.pop("time_s")
-    measured_rev = columns.get("position_rev")  # its steps are the sensor's as long as nothing is interpolated
+    # its steps are the sensor's as long as nothing is interpolated
+    counts = {name: resolution(columns[name]) for name in IN_WORDS if name in columns}
     even = on_even_grid(time_s, columns, fresh)
-    columns, period_s = even.columns, even.period_s
+    columns, period_s = dict(even.columns), even.period_s
     if even.jitter_s:
         warnings.append(
             f"{path}: time stamps scatter by {1e3 * even.jitter_s:.2g} ms rms, {1e3 * even.largest_jitter_s:.2g} ms at "
@@ -321,7 +331,8 @@ def _unchecked(
     if fresh is None and even.good is not None:
         share = 100.0 * float(np.mean(~even.good))
         warnings.append(f"{path}: {share:.2g} % of the samples are missing in short gaps, which are bridged")
-    if "current_command_a" not in columns:
+    stands_in = "current_command_a" not in columns
+    if stands_in:
         if "current_a" not in columns:
             raise DataError(f"{path}: no column gives current_command_a: map the command in `columns` of the facts")
         warnings.append(f"{path}: no current command; the measured current stands in for it, with its noise and lag")
@@ -331,6 +342,13 @@ def _unchecked(
             f"{path}: sampled at {1.0 / period_s:.6g} Hz, the facts declare {facts.sample_rate_hz:g} Hz: "
             "a wrong unit of time, or the wrong file"
         )
+    if facts.lsb_rev:
+        counts["position_rev"] = facts.lsb_rev
+    counts.setdefault("current_command_a", counts.get("current_a", 0.0))
+    good, breaks = _without_impossible(path, columns, even, counts, warnings)
+    if stands_in:
+        now_a = columns["current_command_a"]  # measured at an instant, where a command is held from it to the next one
+        columns["current_command_a"] = 0.5 * (now_a + np.append(now_a[1:], now_a[-1]))
     position_rev = columns.get("position_rev")
     velocity_rps = columns.get("velocity_rps")
     if position_rev is None:
@@ -338,6 +356,7 @@ def _unchecked(
             raise DataError(f"{path}: neither position_rev nor velocity_rps is given: one of them is needed")
         warnings.append(f"{path}: no position: the velocity is integrated, and its lag counts as delay")
         position_rev = np.concatenate([[0.0], np.cumsum(0.5 * (velocity_rps[1:] + velocity_rps[:-1]) * period_s)])
+        counts.setdefault("position_rev", resolution(position_rev))
         velocity_rps = None  # the same once more would say that it is not late
     return Record(
         name=short_name(path),
@@ -348,28 +367,49 @@ def _unchecked(
         position_rev=position_rev,
         velocity_rps=velocity_rps,
         reference_rps=columns.get("reference_rps"),
-        lsb_rev=facts.lsb_rev or _resolution(position_rev if measured_rev is None else measured_rev),
-        breaks=even.breaks,
+        lsb_rev=counts["position_rev"],
+        breaks=breaks,
         digest=digest,
         measured_current_a=columns.get("current_a"),
         begin_s=float(time_s[0]),
-        good=even.good,
+        good=good,
         reference_position_rev=columns.get("reference_position_rev"),
         limited=_limits(columns),
         warnings=tuple(warnings),
     )
 
 
+def _without_impossible(
+    path: Path, columns: dict[str, Floats], even: Even, counts: Mapping[str, float], warnings: list[str]
+) -> tuple[Mask | None, tuple[int, ...]]:
+    """The samples that were measured, and those that come after a gap or a slip. `counts`: resolutions.
+
+    What no motion makes is bridged in `columns`, and told in `warnings`.
+    """
+    size = columns["current_command_a"].size
+    good = np.ones(size, dtype=np.bool_) if even.good is None else even.good.copy()
+    breaks = set(even.breaks)
+    # a command is known, whatever it is; a measured current that stands in for it is not
+    drive = ["current_command_a"] if columns["current_command_a"] is columns.get("current_a") else []
+    for name in [*(name for name in ("position_rev", "velocity_rps") if name in columns), *drive]:
+        found = []
+        for begin, end in itertools.pairwise((0, *even.breaks, size)):
+            one = impossible_samples(columns[name][begin:end], even.period_s, counts[name], name == "position_rev")
+            if one is None:
+                continue
+            columns[name] = columns[name].copy()
+            columns[name][begin:end] = one.mended(columns[name][begin:end])
+            found.append(one)
+            breaks.update(begin + slip for slip in one.slips)
+            if name != "velocity_rps" or "position_rev" not in columns:
+                good[begin:end] &= ~one.bad
+        warnings += [f"{path}: {text}" for text in impossible_lines(IN_WORDS[name], found, size)]
+    return None if good.all() else good, tuple(sorted(breaks))
+
+
 def _limits(columns: Mapping[str, Floats]) -> Mask | None:
     """Samples that depend on a limited one; None: no sample does."""
     return columns[LIMITED] > 0.0 if LIMITED in columns else None
-
-
-def _resolution(position_rev: Floats) -> float:
-    """Smallest step that the position makes."""
-    steps = np.abs(np.diff(position_rev))
-    steps = steps[steps > 0.0]
-    return float(np.quantile(steps, 0.001)) if steps.size else 0.0
 
 
 def check_record(record: Record) -> tuple[list[str], list[str]]:
@@ -379,10 +419,10 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
     place = record.path
     if record.duration_s < SHORTEST_S:
         problems.append(f"{place}: {record.duration_s:.3g} s long; at least {SHORTEST_S:g} s are needed")
-    elif 1.0 / record.period_s < LEAST_RATE_HZ:
+    elif 1.0 / record.period_s < (1.0 - SAME_RATE) * LEAST_RATE_HZ:
         problems.append(
             f"{place}: sampled at {1.0 / record.period_s:.4g} Hz; at least {LEAST_RATE_HZ:g} Hz are needed to see "
-            "accelerations and break-aways: record it faster"
+            "accelerations: record it faster"
         )
     elif not record.segments():
         problems.append(f"{place}: no stretch without a gap is {SHORTEST_STRETCH_S:g} s long: record it without losses")
@@ -400,6 +440,13 @@ def check_record(record: Record) -> tuple[list[str], list[str]]:
         problems.append(
             f"{place}: too little motion: {travel_rev:.3g} rev in all, less than {LEAST_MOTION_LSB:g} counts of the "
             "sensor; raise the current of the excitation"
+        )
+    rate_hz = 1.0 / record.period_s
+    if rate_hz < LOW_RATE_HZ:
+        warnings.append(
+            f"{place}: sampled at {rate_hz:.4g} Hz: motion faster than {CUTOFF_PERIODS * rate_hz:.2g} Hz, a delay "
+            f"below {500.0 / rate_hz:.2g} ms, presliding at reversals and single wrong samples cannot be seen: record "
+            f"them at {LOW_RATE_HZ:g} Hz or more"
         )
     if record.breaks:
         warnings.append(f"{place}: {len(record.breaks)} gap(s) in time; nothing is simulated across them")

@@ -12,6 +12,7 @@ from ..arrays import Floats
 from ..model.effects.table import Term
 from ..symbols import SYMBOLS
 from .coordinates import (
+    LONGEST_PRESLIDING,
     MODEL_PARAMETERS,
     NUISANCES,
     PARAMETERS,
@@ -31,12 +32,15 @@ from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
 from .ranking import first_best, ranked
 from .regression import TorqueStart, regression_start, start_problems
+from .residuals import WINDOW_S, RunResidual, run_residuals
+from .rows import LAST_DELAY_S
 from .solver import Solution, huber_cost, refine, robust_scale, solve
-from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of
+from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of, undetermined
 
 Progress = Callable[[float, str], None]
 
 BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls
+BANDWIDTH_PERIODS = 0.04  # of the rate: its highest
 OTHER_RATIOS = (0.75, 0.5)  # the fit is repeated at these shares of the bandwidth, and the mean of all is taken
 MEAN_COST = 1e-3  # the mean is taken where the loss rises by no larger share than this
 PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts ...
@@ -51,6 +55,15 @@ MOST_STATIC = 1.5
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
 LAG_STRETCH_S, LAG_EDGE_S = 1.0, 0.1  # shortest stretch without a gap; what its filter spoils at each end
+LARGEST_FREE_RUN = 1.0 / 3.0  # error of the velocity simulated freely, of the velocity: such a model is not believed
+LARGEST_NOISY_SD = 0.025  # of an inertia that is seen below the sensor's noise only: beyond it is not determined
+# share by which force balance and simulation may differ in the inertia (EMPS 0.1, blind and lorenz up to 4 %; a log of
+# 20 Hz 9 %, a pendulum of BAM, jittered, 30 %)
+LARGEST_APART = 0.07
+STRIBECK_SDS = 2.0  # of Fs - Fc, by which a Stribeck curve is seen
+INERTIA = "inertia_nm_s2_per_rev"
+# what steady speeds tell of; the Stribeck curve where there is one
+STEADY = ("viscous_nm_per_rps", "coulomb_nm", "static_nm", "stribeck_velocity_rps", "stribeck_exponent")
 OFFSET = "torque_offset"  # the effect that the kernels have a parameter of their own for
 OFFSET_PLACE = PARAMETERS.index("offset_nm")
 
@@ -77,6 +90,7 @@ class Fit(NamedTuple):
     sensor_delay_sd_s: float | None
     literal_loss: float | None  # loss of the rising Stribeck curve over that of the falling one
     warnings: tuple[str, ...]
+    runs: tuple[RunResidual, ...]  # residuals of each record
     effects: tuple[FittedEffect, ...] = ()
     ladder: Ladder | None = None  # None: the effects were given
 
@@ -109,16 +123,18 @@ def fit_records(
         start = ladder.start
         effects = tuple(one.start(len(records)) for one in ladder.accepted)
     problems = start_problems(start, records[0].torque_constant_nm_per_a, facts.rated_current_a if facts else None)
-    if problems:
+    if problems and start.has_inertia:
         raise DataError("\n".join(problems))
-    bandwidth_hz = min(settings.bandwidth_hz, 0.04 / records[0].period_s)
+    bandwidth_hz = min(settings.bandwidth_hz, BANDWIDTH_PERIODS / records[0].period_s)
+    bandwidth_hz = min(bandwidth_hz, start.cutoff_hz) if start.is_noisy else bandwidth_hz
     problem = make_problem(records, bandwidth_hz)
     offsets = [effect for effect in effects if effect.name == OFFSET]
     first = start_vector(start, 1.0, 1.0)
     first[OFFSET_PLACE] = sum(effect.values["torque_nm"] for effect in offsets)
     layout = layout_of([effect for effect in effects if effect.name != OFFSET], scales_of(problem, first))
-    free = (*MODEL_PARAMETERS, NUISANCES[0], *(NUISANCES[1:] if offsets else ()))
-    frame = _Frame(free, layout, MOST_STATIC * start.most_friction_nm)
+    free = (*_seen(start), *(NUISANCES[1:] if offsets else ()))
+    least_per_rev = 1.0 / LONGEST_PRESLIDING[facts.units if facts else "rotary"]
+    frame = _Frame(free, layout, MOST_STATIC * start.most_friction_nm, least_per_rev)
     tell(0.1, "starts")
     physical = _best_start(records, start, first[OFFSET_PLACE], bandwidth_hz, frame, settings.starts)
     problem = frame.of(problem)
@@ -143,14 +159,65 @@ def fit_records(
     tell(0.91, "uncertainty")
     physical = to_physical(solution.values, space.scale)
     uncertainty = uncertainty_of(problem, space, solution, bias, disagreement)
-    tell(1.0, "done")
     lag_s, lag_sd_s = sensor_delay(records)
     constant = [_constant(physical, uncertainty)] if offsets else []
-    return Fit(
+    fit = Fit(
         physical[: len(PARAMETERS)], uncertainty, space, problem, solution, start, lag_s, lag_sd_s, literal_loss,
-        tuple(_warnings(solution, space, literal_loss)),
+        tuple(_warnings(solution, space, literal_loss)), (),
         (*constant, *effects_of(problem.layout, physical, uncertainty.sd)), ladder,
     )  # fmt: skip
+    tell(0.95, "residuals")
+    terms = [fit.terms(k) for k in range(len(records))]
+    fit = _judged(fit._replace(runs=tuple(run_residuals(records, fit.physical, terms, start.cutoff_hz))))
+    tell(1.0, "done")
+    return fit
+
+
+def _seen(start: TorqueStart) -> tuple[str, ...]:
+    """Parameters that the motion of the logs tells of; the others are held at the start."""
+    if start.has_inertia:
+        return (*MODEL_PARAMETERS, NUISANCES[0])
+    return STEADY if start.has_stribeck else STEADY[:2]
+
+
+def _judged(fit: Fit) -> Fit:
+    """The fit without the intervals that what is known of the logs, and its own simulation, do not support."""
+    start, sd = fit.start, fit.uncertainty.sd
+    coulomb, static = (PARAMETERS.index(name) for name in ("coulomb_nm", "static_nm"))
+    mixed = float(fit.uncertainty.correlation[coulomb, static]) * sd[coulomb] * sd[static]
+    excess_sd = math.sqrt(max(0.0, sd[coulomb] ** 2 + sd[static] ** 2 - 2.0 * mixed))
+    worst = max(fit.runs, key=lambda run: run.free_run_share)
+    inertia = fit.value(INERTIA)
+    apart = abs(math.log(inertia / start.inertia_nm_s2_per_rev))
+    found = [
+        (
+            not start.has_inertia, tuple(name for name in MODEL_PARAMETERS if name not in _seen(start)),
+            "hardly anything accelerates: steady speeds tell of friction alone",
+        ),
+        (not start.has_delay, (INERTIA, "delay_s"), f"up to {1e3 * LAST_DELAY_S:g} ms no delay fits best"),
+        (
+            start.is_noisy and sd[0] > LARGEST_NOISY_SD * inertia, (INERTIA,),
+            f"the sensor's noise hides the acceleration above {start.cutoff_hz:g} Hz",
+        ),
+        (
+            apart > LARGEST_APART, (INERTIA,),
+            f"force balance and simulation ask for values that are {100.0 * apart:.0f} % apart",
+        ),
+        (
+            worst.free_run_share > LARGEST_FREE_RUN, (INERTIA, "delay_s"),
+            f"simulated freely over {WINDOW_S:g} s the velocity is wrong by {100.0 * worst.free_run_share:.0f} % of "
+            f"itself in {worst.record.name}: the model does not move as the axis does",
+        ),
+        (
+            fit.value("static_nm") - fit.value("coulomb_nm") < STRIBECK_SDS * excess_sd,
+            STEADY[3:], "no Stribeck curve is seen: Fs may be Fc",
+        ),
+    ]  # fmt: skip
+    known = fit.uncertainty
+    for holds, names, reason in found:
+        if holds:
+            known = undetermined(known, fit.space.names, names, reason)
+    return fit._replace(uncertainty=known)
 
 
 class _Frame(NamedTuple):
@@ -159,6 +226,7 @@ class _Frame(NamedTuple):
     free: tuple[str, ...]
     layout: EffectLayout
     most_static_nm: float
+    least_stiffness_per_rev: float
 
     def of(self, problem: Problem) -> Problem:
         """A problem with the effects; unchanged without effects."""
@@ -171,7 +239,9 @@ class _Frame(NamedTuple):
     def space(self, physical: Floats, period_s: float, rising: bool = False) -> Coordinates:
         """Coordinates around a vector."""
         most_nm = math.inf if rising else self.most_static_nm  # there Fs is the level of high speeds
-        base = coordinates(physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm)
+        base = coordinates(
+            physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm, self.least_stiffness_per_rev
+        )
         return joint_coordinates(base, self.layout) if self.layout.parameters else base
 
 

@@ -22,7 +22,7 @@ from ..arrays import Floats
 from ..least_squares import least_squares, sums_by
 from ..model.effects.registry import law_of
 from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
-from .dataset import Record
+from .dataset import CUTOFF_PERIODS, Record
 from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER, stroke_lengths_rev
 from .layout import EffectStart
@@ -145,8 +145,10 @@ def _declared_orders(facts: DriveFacts | None) -> list[float]:
 
 def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float]) -> tuple[_Bench, float]:
     period_s = records[0].period_s
+    cutoff_hz = min(DEFAULT_CUTOFF_HZ, CUTOFF_PERIODS / period_s)
     highest_hz = min(HIGHEST_CUTOFF_HZ, HIGHEST_CUTOFF_PERIODS / period_s)
-    cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / period_s)
+    if start.is_noisy:
+        cutoff_hz = highest_hz = start.cutoff_hz
     stretches, _ = stretches_of(records, cutoff_hz)
     slow_rps = _slow_rps(rows_at(stretches, cutoff_hz, start.delay_s))
     asked_hz = min(highest_hz, SEEN_HZ * max(orders, default=0.0) * slow_rps)
@@ -414,10 +416,10 @@ def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueSta
     white = _weighted(bench, chosen)
     values = least_squares(white.known, white.target).values
     inertia, viscous, coulomb, excess = (float(value) for value in values[: bench.base.shape[1]])
-    if not (inertia > 0.0 and coulomb > 0.0):
+    if not ((inertia > 0.0 or not start.has_inertia) and coulomb > 0.0):
         return start
     return start._replace(
-        inertia_nm_s2_per_rev=inertia,
+        inertia_nm_s2_per_rev=inertia if start.has_inertia else start.inertia_nm_s2_per_rev,
         viscous_nm_per_rps=max(viscous, 1e-2 * start.viscous_nm_per_rps),
         coulomb_nm=coulomb,
         static_nm=coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0)),

@@ -27,6 +27,7 @@ STILL_S = 0.2  # standstill: no motion beyond the sensor's resolution for this l
 STILL_LSB = 2.5
 CLUSTER_S = 0.25
 JUMP = 0.5  # slopes of the two sides that differ by more than this share are those of a jump
+LONGEST_STEP_S = 0.0101  # of the simulation: in a longer one friction stops the axis and throws it back
 STEP = 2e-3  # of the finite differences, in coordinates
 
 
@@ -65,9 +66,10 @@ class Problem(NamedTuple):
         return np.concatenate(found)
 
 
-def observer(period_s: float, bandwidth_hz: float, block: int, substeps: int = 1) -> ShootingConfig:
+def observer(period_s: float, bandwidth_hz: float, block: int) -> ShootingConfig:
     """An observer that follows the position with this bandwidth."""
     omega = 2.0 * math.pi * bandwidth_hz
+    substeps = math.ceil(period_s / LONGEST_STEP_S)
     return ShootingConfig(
         period_s, substeps, 0, block, 2.0 * OBSERVER_DAMPING * omega * period_s, omega * omega * period_s
     )

@@ -15,13 +15,14 @@ import numpy as np
 
 from ..arrays import Floats
 from ..least_squares import LinearFit, least_squares
-from .dataset import DataError, Record
+from .dataset import CUTOFF_PERIODS, DataError, Record
+from .kinematics import DEFAULT_CUTOFF_HZ
 from .ranking import lower
 from .rows import (
     CONSTANT,
     DIRECTION,
     RegressionRows,
-    delay_between,
+    rigid_balance,
     rigid_columns,
     rows_at,
     stretches_of,
@@ -30,6 +31,14 @@ from .rows import (
 
 EXPONENTS = (0.7, 1.0, 1.5, 2.0)
 LEAST_ROWS = 200
+# Noise of the acceleration makes the inertia small. The cut-off is halved while that raises the inertia by LOST_INERTIA
+# and what the acceleration explains by BETTER_TOLD (a Hall sensor of 42 edges a turn: 40 to 10 Hz; measured and blind
+# drives: none)
+WELL_TOLD, BETTER_TOLD, LOST_INERTIA = 0.95, 0.03, 0.04
+LOWEST_CUTOFF_HZ = 4.0
+STRIBECK_SHARE = 0.02  # of the squared residual, that a Stribeck curve has to explain to be seen
+LEAST_TOLD = 0.005  # of the torque beside friction: with less the acceleration is not seen (steady speeds: 0.001)
+HELD_RPS2 = 1000.0  # acceleration of the inertia that then stands in by the static friction
 TORQUE_TO_INERTIA_RPS2 = (5.0, 30_000.0)  # acceleration at the rated current of any sane rotary axis
 
 
@@ -46,6 +55,13 @@ class TorqueStart(NamedTuple):
     sliding_travel_rev: float
     constant_nm: float  # 0 if the axis turns one way only
     most_friction_nm: float = math.inf  # that acted in the logs, stuck or sliding, without its viscous part
+    cutoff_hz: float = DEFAULT_CUTOFF_HZ
+    is_noisy: bool = (
+        False  # above the cut-off, which is lowered for it, the acceleration is hidden by the sensor's noise
+    )
+    has_inertia: bool = True  # False: hardly anything accelerates, and the inertia is held at no value of the axis
+    has_stribeck: bool = True  # False: nor does the friction fall with speed, and Fs is Fc
+    has_delay: bool = True  # False: the scan has no minimum, and the delay is not known
 
 
 def _solve(rows: RegressionRows, bump: Floats | None = None) -> LinearFit:
@@ -61,12 +77,12 @@ def _solve(rows: RegressionRows, bump: Floats | None = None) -> LinearFit:
     return least_squares(columns, rows.torque_nm[rows.sliding])
 
 
-def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> TorqueStart:
+def regression_start(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> TorqueStart:
     """Start values from one or several records of one axis.
 
     Raises DataError if the records do not contain enough sliding motion.
     """
-    cutoff_hz = min(cutoff_hz, 0.1 / records[0].period_s)
+    highest_hz = cutoff_hz = min(cutoff_hz, CUTOFF_PERIODS / records[0].period_s)
     stretches, travel_rev = stretches_of(records, cutoff_hz)
     count = sum(int(np.count_nonzero(stretch.sliding[stretch.rows])) for stretch in stretches)
     if count < LEAST_ROWS:
@@ -74,7 +90,17 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
             f"only {count} samples of sure sliding motion in {len(records)} log(s), {LEAST_ROWS} "
             "are needed: raise the current of the excitation, or add a run at higher speed"
         )
-    delay_s = delay_between(stretches, cutoff_hz)
+    rigid = rigid_balance(stretches, cutoff_hz)
+    while rigid.told < WELL_TOLD and 0.5 * cutoff_hz > LOWEST_CUTOFF_HZ:
+        slower, other_rev = stretches_of(records, 0.5 * cutoff_hz)
+        if sum(int(np.count_nonzero(stretch.sliding[stretch.rows])) for stretch in slower) < LEAST_ROWS:
+            break
+        other = rigid_balance(slower, 0.5 * cutoff_hz)
+        noisy = other.inertia_nm_s2_per_rev > (1.0 + LOST_INERTIA) * rigid.inertia_nm_s2_per_rev
+        if not (noisy and other.told > rigid.told + BETTER_TOLD):
+            break
+        rigid, stretches, travel_rev, cutoff_hz = other, slower, other_rev, 0.5 * cutoff_hz
+    delay_s = rigid.delay_s
     rows = rows_at(stretches, cutoff_hz, delay_s)
     direction = rows.direction[rows.sliding]
     torque_nm = rows.torque_nm[rows.sliding]
@@ -86,14 +112,18 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
             found = _solve(rows, direction * np.exp(-((speed / velocity) ** exponent)))
             if (found.values[1:4] > 0.0).all() and lower(found.cost, best[0]):
                 best = (found.cost, float(velocity), exponent, found.values)
-    if not np.isfinite(best[0]):
-        found = _solve(rows)
+    has_inertia = bool(rigid.told > LEAST_TOLD)
+    found = _solve(rows)
+    has_stribeck = has_inertia or best[0] < (1.0 - STRIBECK_SHARE) * found.cost
+    if not (np.isfinite(best[0]) and has_stribeck):
         best = (found.cost, 0.1 * high, 1.0, np.insert(found.values, CONSTANT, 0.1 * abs(found.values[2])))
     velocity, exponent = best[1:3]
     inertia, viscous, coulomb, excess, constant = (float(value) for value in best[3])
     coulomb = max(coulomb, 1e-3 * float(np.abs(torque_nm).mean()))
     viscous = max(viscous, 1e-3 * coulomb / high)
-    static = coulomb + min(max(excess, 0.02 * coulomb), 6.0 * coulomb)
+    static = coulomb + (min(max(excess, 0.02 * coulomb), 6.0 * coulomb) if has_stribeck else 0.0)
+    if not has_inertia:
+        inertia = static / HELD_RPS2
     friction = rows.torque_nm - inertia * rows.acceleration_rps2 - viscous * rows.velocity_rps - constant
     return TorqueStart(
         inertia,
@@ -106,6 +136,11 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = 40.0) -> Torq
         travel_rev,
         constant,
         max(static, float(np.abs(friction).max())),
+        cutoff_hz,
+        cutoff_hz < highest_hz,
+        has_inertia,
+        has_stribeck,
+        rigid.has_minimum,
     )
 
 

@@ -59,6 +59,11 @@ class RunResidual(NamedTuple):
     presliding_rev: float  # travel after a reversal up to which it is presliding
 
     @property
+    def free_run_share(self) -> float:
+        """Error of the velocity in free windows over the velocity, rms both; 0 where there is no window."""
+        return _rms(self.velocity_errors_rps) / max(_rms(self.torque.velocity_rps[self.torque.kept]), 1e-300)
+
+    @property
     def sliding(self) -> Mask:
         """Kept samples in sliding. (n,)"""
         return np.asarray(self.torque.kept & (self.torque.travel_rev > self.presliding_rev))
@@ -93,7 +98,8 @@ def _torque_part(
     path = np.empty((position.size, PATH_COLUMNS))
     bandwidth_hz = min(OBSERVER_HZ, 0.04 / record.period_s)
     shooting = observer(record.period_s, bandwidth_hz, 1)
-    table = table_at(terms, axis, record.period_s, part.start)
+    step_s = record.period_s / shooting.substeps
+    table = table_at(terms, axis, step_s, part.start * shooting.substeps)
     follow(axis, table, shooting, nuisance, np.ascontiguousarray(record.current_a[part]), position, path)
     if terms:
         seen_rev = record.position_rev.copy()
@@ -137,7 +143,8 @@ def velocity_errors(
             continue
         position = np.ascontiguousarray(record.position_rev[part])
         output = np.empty((starts.size, samples // block))
-        table, spare = (table_at(terms, axis, period_s, part.start) for _ in range(2))
+        first = part.start * shooting.substeps
+        table, spare = (table_at(terms, axis, period_s / shooting.substeps, first) for _ in range(2))
         shoot(
             axis, table, spare, shooting, nuisance.offset_nm,
             np.ascontiguousarray(record.current_a[part]), position, starts, 0, output,
@@ -210,15 +217,19 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
 
 
 def run_residuals(
-    records: Sequence[Record], physical: Floats, terms: Sequence[Sequence[Term]] | None = None
-) -> list[RunResidual]:
-    """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,)."""
+    records: Sequence[Record], physical: Floats, terms: Sequence[Sequence[Term]] | None = None,
+    cutoff_hz: float = DEFAULT_CUTOFF_HZ,
+) -> list[RunResidual]:  # fmt: skip
+    """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,).
+
+    `cutoff_hz`: of the torque.
+    """
     acting = terms if terms is not None else [()] * len(records)
     presliding_rev = PRESLIDING_LENGTHS / float(physical[PARAMETERS.index("stiffness_per_rev")])
     return [
         RunResidual(
             record,
-            torque_residual(record, physical, terms=own),
+            torque_residual(record, physical, cutoff_hz, own),
             *velocity_errors(record, physical, terms=own),
             presliding_rev,
         )

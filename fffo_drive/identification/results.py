@@ -21,7 +21,7 @@ from .declared import weight_remarks
 from .facts import DriveFacts
 from .fit import OFFSET, OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
-from .residuals import RunResidual, residual_summary, run_residuals
+from .residuals import residual_summary
 from .runs import RunLook, look_at_runs
 from .uncertainty import Doubt
 
@@ -49,9 +49,7 @@ def model_file(
         k = PARAMETERS.index(key)
         sd = float(fit.uncertainty.sd[k])
         value = float(fit.physical[k]) * factor
-        return Quantity(
-            value=value, sd=sd * factor if sd > 0.0 else None, source="fitted" if sd > 0.0 else "at a bound"
-        )
+        return Quantity(value=value, sd=sd * factor if sd > 0.0 else None, source=_source(fit, k))
 
     sensor_s, sensor_sd_s = max(0.0, fit.sensor_delay_s or 0.0), fit.sensor_delay_sd_s
     delay = quantity("delay_s")
@@ -81,16 +79,18 @@ def model_file(
     )
 
 
-def report(
-    fit: Fit, records: Sequence[Record], facts: DriveFacts, runs: Sequence[RunResidual] | None = None
-) -> dict[str, Any]:
+def _source(fit: Fit, k: int) -> str:
+    """What a parameter's value is."""
+    if fit.uncertainty.sd[k] > 0.0:
+        return "fitted"
+    low, value, high = fit.space.low[k], fit.solution.values[k], fit.space.high[k]
+    return "at a bound" if low < high and not low < value < high else "not determined"
+
+
+def report(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> dict[str, Any]:
     """Contents of the page, JSON-ready: runs, parameters, effects, undetermined parameters, residuals, frequency
     response, damping.
-
-    `runs` are the residuals of the records where they are at hand.
     """
-    if runs is None:
-        runs = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     looked = look_at_runs(records)
     linear = facts.units == "linear"
     remarks = [remark._replace(text=text_on(remark.text, linear)) for remark in looked.remarks]
@@ -116,7 +116,7 @@ def report(
         ],
         "start": fit.start._asdict(),
         "fit": _fit(fit),
-        "residuals": residual_summary(runs),
+        "residuals": residual_summary(fit.runs),
         "frequency_response": _responses(records),
         "damping": [
             point._asdict()
@@ -206,7 +206,8 @@ def _parameters(fit: Fit, facts: DriveFacts) -> list[dict[str, Any]]:
         known = sd > 0.0  # not where a bound stopped the fit
         rows.append({
             "name": name, "symbol": symbol_of(name, facts), "unit": unit_of(name, facts), "value": value,
-            "fitted": bool(fitted), "of_the_model": name in MODEL_PARAMETERS, "sd": sd if known else None,
+            "fitted": bool(fitted), "source": _source(fit, k), "of_the_model": name in MODEL_PARAMETERS,
+            "sd": sd if known else None,
             "interval_95": ends_of_interval(name, value, reach * sd) if known else None,
             "statistical_sd": float(u.statistical_sd[k]), "specification_sd": float(u.specification_sd[k]),
             "windows_that_tell": float(u.moments[k]), "variance_inflation": float(u.inflation[k]),

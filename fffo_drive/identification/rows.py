@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Integers, Mask
-from ..least_squares import least_squares
+from ..least_squares import robust_least_squares
 from .dataset import DataError, Record
 from .kinematics import (
     NOTHING_BEFORE,
@@ -34,7 +34,8 @@ ACCELERATION, VELOCITY, DIRECTION, CONSTANT = range(4)  # of the rigid balance's
 LEAST_OTHER_WAY = 0.02  # share of the rows that must turn the other way
 PRESLIDING_SHARE = 5e-4  # of a typical stroke, by which presliding may last however fine the sensor is
 LONGEST_DELAY_SAMPLES = 24
-LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two
+LONGEST_DELAY_S = 0.012  # the scan goes as far as the longer of the two ...
+LAST_DELAY_S = 0.1  # ... and on to here where it has no minimum before
 
 
 class RegressionStretch(NamedTuple):
@@ -153,15 +154,41 @@ def rigid_columns(rows: RegressionRows) -> Floats:
     return np.column_stack([rows.acceleration_rps2, rows.velocity_rps, rows.direction, np.ones(rows.run.size)])
 
 
-def delay_between(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> float:
-    """Delay (s) from command to torque that minimises the residual of the rigid balance: a scan, then a parabola."""
+class Rigid(NamedTuple):
+    """The rigid balance of rows by robust least squares, at the delay at which it leaves least."""
+
+    delay_s: float
+    has_minimum: bool  # False: the residual falls to the end of the scan, and the delay is 0
+    inertia_nm_s2_per_rev: float
+    told: float  # share of the torque beside friction that the acceleration explains: noise in it lowers both
+
+
+def rigid_balance(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> Rigid:
+    """Scan of the delay (s) from command to torque, on to LAST_DELAY_S where it has to be, and a parabola."""
     period_s = stretches[0].motion.period_s
-    delays: Floats = np.arange(0.0, longest_delay_samples(period_s) + 1, 2) * period_s
-    costs = []
-    for delay_s in delays:
-        rows = rows_at(stretches, cutoff_hz, float(delay_s))
-        costs.append(least_squares(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding]).cost)
-    return parabola_minimum(delays, np.array(costs))
+    found: list[tuple[float, float, float]] = []  # loss, inertia, told
+    count = longest_delay_samples(period_s)
+    while True:
+        for sample in range(2 * len(found), count + 1, 2):
+            rows = rows_at(stretches, cutoff_hz, sample * period_s)
+            found.append(_balance(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding]))
+        best = min(range(len(found)), key=lambda k: found[k][0])
+        last = math.ceil(LAST_DELAY_S / period_s)
+        if best < len(found) - 1 or count >= last:
+            break
+        count = last
+    delays = 2.0 * period_s * np.arange(len(found), dtype=np.float64)
+    delay_s = parabola_minimum(delays, np.array([loss for loss, _, _ in found]))
+    return Rigid(delay_s or 0.0, delay_s is not None, *found[best][1:])
+
+
+def _balance(columns: Floats, torque_nm: Floats) -> tuple[float, float, float]:
+    """Loss, inertia, and what the acceleration explains."""
+    fit, loss, _ = robust_least_squares(columns, torque_nm)
+    inertia = float(fit.values[ACCELERATION])
+    variance = fit.spectrum.inverse()[ACCELERATION, ACCELERATION] / fit.spectrum.lengths[ACCELERATION] ** 2
+    explained = inertia * inertia / variance
+    return loss, inertia, explained / (explained + loss * torque_nm.size)
 
 
 def longest_delay_samples(period_s: float) -> int:
@@ -181,11 +208,14 @@ def is_one_way(forwards: float, backwards: float, rows: float) -> bool:
     return min(forwards, backwards) < LEAST_OTHER_WAY * rows if rows else True
 
 
-def parabola_minimum(x: Floats, y: Floats) -> float:
-    """Where a parabola through the smallest of `y` (n,) over even `x` (n,) and its neighbours has its minimum."""
+def parabola_minimum(x: Floats, y: Floats) -> float | None:
+    """Where a parabola through the smallest of `y` (n,) over even `x` (n,) and its neighbours has its minimum.
+
+    None where `y` still falls at the last `x`; the first one is a bound, and may be where it is.
+    """
     k = int(np.argmin(y))
     if k in (0, y.size - 1):
-        return float(x[k])
+        return float(x[k]) if k == 0 else None
     curvature = y[k - 1] - 2.0 * y[k] + y[k + 1]
     shift = 0.5 * (y[k - 1] - y[k + 1]) / curvature if curvature > 0.0 else 0.0
     return float(x[k] + shift * (x[1] - x[0]))

@@ -19,9 +19,9 @@ from ..arrays import Floats
 from ..least_squares import least_squares, sums_by
 from ..units import unit_in
 from .criterion import BLOCK_S, SHORTEST_BLOCK_S
-from .dataset import DataError, Record
+from .dataset import CUTOFF_PERIODS, DataError, Record
 from .kinematics import DEFAULT_CUTOFF_HZ
-from .regression import TorqueStart, regression_start
+from .regression import STRIBECK_SHARE, TorqueStart, regression_start
 from .rows import (
     ACCELERATION,
     CONSTANT,
@@ -46,7 +46,6 @@ WORDS = {
 LARGEST_INFLATION = 20.0  # variance inflation by the other columns: speed varies by a quarter of its mean
 LARGEST_SHARE_SD = 0.25  # of the run's torque: a less certain contribution is not determined
 NOISE_RATIO = 4.0  # acceleration over its noise from the sensor's resolution: below it, inertia is biased low
-STRIBECK_SHARE = 0.02  # of the squared residual that a Stribeck curve has to explain to be subtracted
 LARGEST_LEFT = 0.5  # of the torque: if the axis differs this much from a rigid one, the four numbers mean little
 BLOCKS_A_RUN = 20  # a short run has shorter blocks ...
 LEAST_BLOCKS = 8  # ... and no standard deviation with fewer blocks in sliding
@@ -99,7 +98,7 @@ class RunsLook(NamedTuple):
 def look_at_runs(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ) -> RunsLook:
     """Regress every run (all of one rate) by itself and compare. Raises DataError if there is hardly any sliding."""
     start = regression_start(records, cutoff_hz)
-    cutoff_hz = min(cutoff_hz, 0.1 / records[0].period_s)
+    cutoff_hz = min(cutoff_hz, CUTOFF_PERIODS / records[0].period_s)
     rows = rows_at(stretches_of(records, cutoff_hz)[0], cutoff_hz, start.delay_s)
     rows = _without_stribeck(rows, start)
     looks = tuple(_look(record, number, rows) for number, record in enumerate(records))

@@ -14,6 +14,7 @@ added in quadrature as specification error, and so is the bias by the sensor's n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,13 @@ from ..least_squares import SINGULAR, huber_weights, normal_equations, spectrum,
 from .coordinates import LOG_SPAN, Coordinates, physical_slope
 from .prediction import Problem, jacobian
 from .ranking import ranked
-from .solver import HUBER, Solution
+from .solver import HUBER, LARGEST_STEP, Solution
 
 UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0
 COLLINEAR_SD = 0.02  # a collinear parameter with a smaller deviation counts as determined
 SHARED_ERROR = 0.17  # correlation of the errors of fits of one data set at 1, 3/4 and 1/2 of the bandwidth, 30 seeds
+DEPENDS = 0.05  # of a coordinate (5 %): a parameter that moves so far with one that a bound has stopped depends on it
 FEWEST_BLOCKS = 8  # blocks for resampling; fewer do not give a standard deviation
 FEWEST_MOMENTS = 4.0  # a parameter that fewer windows determine counts as undetermined, whatever the sandwich gives
 UNFIT = "slow and fast errors ask for different values: the model lacks something that acts on it"
@@ -109,7 +111,49 @@ def uncertainty_of(
     moments = np.zeros(size)
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
-    return Uncertainty(np.hypot(*sd), sd[0], sd[1], correlation, inflation, windows, moments, doubts)
+    known = Uncertainty(np.hypot(*sd), sd[0], sd[1], correlation, inflation, windows, moments, doubts)
+    for stopped, names in _dependent(problem, space, solution, free, coordinate_sd).items():
+        known = undetermined(known, space.names, names, f"depends on {stopped}, which stands at a bound of the fit")
+    return known
+
+
+def undetermined(known: Uncertainty, order: Sequence[str], names: Sequence[str], reason: str) -> Uncertainty:
+    """Without an interval of these parameters of the `order`, and with a doubt of each, for a reason."""
+    arrays = [known.sd.copy(), known.statistical_sd.copy(), known.specification_sd.copy()]
+    doubts = [doubt for doubt in known.doubts if doubt.name not in names]
+    for name in names:
+        for array in arrays:
+            array[order.index(name)] = 0.0
+        if name in ADVICE:
+            doubts.append(Doubt(name, reason, ADVICE[name][1], ()))
+    doubts.sort(key=lambda doubt: order.index(doubt.name))
+    return known._replace(sd=arrays[0], statistical_sd=arrays[1], specification_sd=arrays[2], doubts=tuple(doubts))
+
+
+def _dependent(
+    problem: Problem, space: Coordinates, solution: Solution, free: Integers, sd: Floats
+) -> dict[str, list[str]]:  # fmt: skip
+    """Free parameters by the one at a bound that they depend on: they would move with the step that the bound stops.
+
+    A delay of zero is no bound of the fit but of nature, and what stands there is known.
+    """
+    movable = np.flatnonzero(space.high > space.low)
+    stopped = [k for k in movable if k not in free and not (space.names[k] == "delay_s" and solution.values[k] <= 0.0)]
+    if not stopped or not free.size:
+        return {}
+    places = np.concatenate([free, np.array(stopped, dtype=np.int64)])
+    errors, matrix = jacobian(problem, space, solution.values, places, central=False)
+    normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * solution.scale))
+    size, found = free.size, {}
+    inverse = spectrum(normal.matrix[:size, :size], SINGULAR)
+    for column, k in enumerate(stopped, size):
+        step = normal.moment[column] / max(float(normal.matrix[column, column]), 1e-300)
+        moved = inverse.solution(normal.matrix[:size, column]) * min(abs(step), LARGEST_STEP)
+        far = np.abs(moved) > np.maximum(DEPENDS, np.hypot(*sd[:, free]))
+        names = [space.names[j] for j, large in zip(free, far, strict=True) if large]
+        if names:
+            found[space.names[k]] = names
+    return found
 
 
 def ratio_sd(numerators: Floats, denominators: Floats, draws: int = 1000, seed: int = 1) -> float | None:

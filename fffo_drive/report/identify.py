@@ -47,6 +47,7 @@ from .population import population_table
 
 LARGE_RESIDUAL_PERCENT = 10.0  # of the torque: the model misses something that matters
 USELESS_RESIDUAL_PERCENT = 50.0
+NOT_TUNE = "do not tune with this model: record the motion that determines the rest, and identify again"
 LEAST_SHARE = 0.02  # of the residual's power that a function of the motion explains, to be reported
 SURE = 1e-3
 ROTARY = IdentifyWords()
@@ -122,8 +123,7 @@ def _verdict(source: IdentifySource, results: dict[str, Any], words: IdentifyWor
     lines = [Line(label="What", text=_known(results, doubted)), Line(label="How good", text=good)]
     lines += [Line(label="How sure", text=doubt) for doubt in doubts[:1]]
     if useless:
-        text = "Do not tune with this model: record the motion that determines the rest, and identify again."
-        lines.append(Line(label="Next", text=text))
+        lines.append(Line(label="Next", text=f"{NOT_TUNE[0].upper()}{NOT_TUNE[1:]}."))
     else:
         lines.append(Line(label="Next", text="Choose gains for this model:", command=tune_command(source)))
     return Verdict(
@@ -207,7 +207,7 @@ def _parameters(results: dict[str, Any]) -> Table:
     for p in results["parameters"]:
         if not p["fitted"]:
             continue
-        source = "at a bound" if p["sd"] is None else "fitted, not determined" if p["name"] in doubted else "fitted"
+        source = p["source"] + (", not determined" if p["source"] == "fitted" and p["name"] in doubted else "")
         if p["name"] == "offset_nm":
             continue  # the table of effects has it
         source = source if p["of_the_model"] else "beside the model"

@@ -12,7 +12,7 @@ from ..identification.dataset import Record, where_command_acts
 from ..identification.facts import DriveFacts
 from ..identification.fit import Fit, FitSettings, Progress, fit_records
 from ..identification.population import AgainstPopulation, with_population
-from ..identification.residuals import RunResidual, run_residuals
+from ..identification.residuals import RunResidual
 from ..identification.results import model_file, report
 from ..model.parameters import ModelFile
 from .progress import Share
@@ -74,10 +74,9 @@ def identify(
     part = None if progress is None else lambda share, step: progress(FIT_SHARE * share, step)
     records = [where_command_acts(record) for record in records]
     fit, model = fitted_model(records, facts, name, progress=part)
-    residuals = run_residuals(records, fit.physical, [fit.terms(k) for k in range(len(records))])
     coverage = coverage_of(records)
     cyclic = cyclic_error(records)
-    result = report(fit, records, facts, residuals) | {"coverage": coverage._asdict()}
+    result = report(fit, records, facts) | {"coverage": coverage._asdict()}
     if cyclic is not None:
         result["cyclic_error"] = cyclic.as_plain()
     if prior is not None:
@@ -85,4 +84,4 @@ def identify(
         model = with_population(model, fit, prior)
         if prior.other_population:
             result["warnings"].append(prior.sentence())
-    return Identified(model, fit, residuals, coverage, cyclic, result)
+    return Identified(model, fit, list(fit.runs), coverage, cyclic, result)

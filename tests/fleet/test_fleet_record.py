@@ -18,7 +18,7 @@ from fffo_drive.fleet.regress import PARAMETERS, Balance, balance_columns, balan
 from fffo_drive.fleet.schema import BAND_EDGES_HZ, RECORD_SCHEMA, file_bytes, table_of
 from fffo_drive.identification.dataset import DataError, load_record
 from fffo_drive.identification.kinematics import DEFAULT_CUTOFF_HZ
-from fffo_drive.identification.rows import delay_between, rows_at, stretches_of
+from fffo_drive.identification.rows import rows_at, stretches_of
 from fffo_drive.recording.reader import RowBlocks, read_run
 from fffo_drive.units import TWO_PI
 from fffo_drive.workflows.recorded_facts import facts_in
@@ -49,10 +49,10 @@ def test_records_of_recordings_add_up_to_the_fit_on_their_rows_joined(recordings
         one = load_record(path, facts)
         cutoff_hz = min(DEFAULT_CUTOFF_HZ, 0.1 / one.period_s)
         stretches, _ = stretches_of([one], cutoff_hz)
-        rows = rows_at(stretches, cutoff_hz, delay_between(stretches, cutoff_hz))
+        made = record(path, None)
+        rows = rows_at(stretches, cutoff_hz, made["delay_s"])
         columns.append(balance_columns(rows, facts)[rows.sliding])
         target.append(rows.torque_nm[rows.sliding])
-        made = record(path, None)
         assert made["rows"] == columns[-1].shape[0]
         total = Balance(*map(operator.add, total, balance_of(balance_columns(rows, facts), rows)))
         assert made["energy_nm2"] == pytest.approx(float(target[-1] @ target[-1]), rel=1e-12)

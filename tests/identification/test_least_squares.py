@@ -14,6 +14,7 @@ from fffo_drive.least_squares import (
     least_squares,
     minimise,
     normal_equations,
+    robust_least_squares,
     spectrum,
     sums_by,
 )
@@ -135,3 +136,13 @@ def test_steps_end_where_no_more_are_allowed_and_where_the_next_is_not_worthwhil
     assert settled
     assert fewer < steps
     assert loss > least
+
+
+def test_the_regression_is_not_pulled_by_outliers():
+    draw = np.random.default_rng(1)
+    column = draw.normal(size=2000)
+    target = 2.0 * column + 0.1 * draw.normal(size=2000)
+    target[::20] += 50.0 * column[::20]
+    assert robust_least_squares(column[:, None], target)[0].values[0] == pytest.approx(2.0, rel=0.05)
+    alone = robust_least_squares(np.column_stack([column, 1e-9 * column]), target)[0]
+    assert np.isfinite(alone.values).all()

@@ -353,7 +353,7 @@ def test_protobuf_messages_are_read_by_their_own_schema(tmp_path):
     record = load_record(tmp_path / "out" / "log.mcap", read_facts(tmp_path / "out" / "facts.yaml"))
     assert record.period_s == pytest.approx(2e-3)
     np.testing.assert_allclose(record.position_rev, log.position_rev, atol=1e-9)
-    np.testing.assert_allclose(record.current_a, log.current_a, atol=1e-9)
+    np.testing.assert_allclose(record.measured_current_a, log.current_a, atol=1e-9)
 
 
 def test_json_messages_of_two_topics_come_on_one_time(tmp_path):
@@ -444,10 +444,12 @@ def test_the_published_log_of_an_outrunner_keeps_its_turn(tmp_path):
     assert found.of("current_a").factor == 1.0
 
 
-def test_a_published_log_at_25_hz_is_refused_by_its_rate(tmp_path, capsys):
+def test_a_published_log_below_20_hz_is_refused_by_its_rate_and_one_at_25_hz_says_what_it_hides(tmp_path, capsys):
     paths = shared_files("measured/tro2021/*.csv")
     assert run_import(*paths, "--out", tmp_path / "out", "--yes") == 0
-    assert "sampled at 25 Hz; at least 50 Hz" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "sampled at 15.62 Hz; at least 20 Hz" in said
+    assert "sampled at 25 Hz: motion faster than 2.5 Hz" in said
     recordings = sorted(map(str, (tmp_path / "out").glob("*.mcap")))
     assert len(recordings) == len(paths)
     assert main(["identify", *recordings, "--out", str(tmp_path / "model")]) == EXIT_BAD_INPUT

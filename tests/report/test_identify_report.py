@@ -46,7 +46,7 @@ def reported(records, directory, facts=FACTS):
     (directory / "drive.yaml").write_text("torque_constant_nm_per_a: 0.148\n")
     write_model(directory / "model.yaml", model_file(fit, records, "made up <b>"))
     source = IdentifySource("made up <b>", facts, directory / "drive.yaml", directory / "model.yaml")
-    results = report(fit, records, facts, runs)
+    results = report(fit, records, facts)
     return fit, runs, identify_report(source, fit, records, runs, results, coverage_of(records))
 
 
