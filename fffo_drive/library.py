@@ -295,9 +295,14 @@ def write_model(model: ModelFile, path: str | Path) -> None:
 
 
 def simulate(
-    axis: Axis | str | Path, *, toggle: str | None = None, gains: Mapping[str, float] | Tuned | None = None,
-    model: ModelFile | None = None, profile: GivenProfile | None = None, seed: int | None = None,
-) -> MeasuredRun:  # fmt: skip
+    axis: Axis | str | Path,
+    *,
+    toggle: str | None = None,
+    gains: Mapping[str, float] | Tuned | None = None,
+    model: ModelFile | None = None,
+    profile: GivenProfile | None = None,
+    seed: int | None = None,
+) -> MeasuredRun:
     """Run an axis on its simulated drive in process, many times faster than real time, without writing a file.
 
     `toggle`: friction from "off", "ff" (reference) or "fb" (feedback); None: the file's. `gains`: keys of the file's

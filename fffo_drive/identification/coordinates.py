@@ -10,6 +10,7 @@ import numpy as np
 from ..arrays import Floats
 from ..model.axis import AxisConfig
 from ..model.friction import OMEGA_CLIPPED, FrictionConfig
+from ..model.parameters import LIMITS
 from ..symbols import FRICTION, SYMBOLS
 from .regression import TorqueStart
 from .shooting import Nuisance
@@ -63,11 +64,16 @@ def coordinates(
     ):
         k = names.index(name)
         low[k], high[k] = bounds[0] / scale[k], bounds[1] / scale[k]
+    for name in LOGARITHMIC.intersection(FRICTION):  # what a model file may hold
+        k, (least, most) = names.index(name), LIMITS[f"friction.{name}"]
+        high[k] = max(values[k], min(high[k], math.log(most)))
+        if least > 0.0:
+            low[k] = min(values[k], max(low[k], math.log(least)))
     static = names.index("static_nm")
     high[static] = max(values[static], min(high[static], math.log(most_static_nm)))
     if least_stiffness_per_rev > 0.0:
         stiffness = names.index("stiffness_per_rev")
-        low[stiffness] = min(values[stiffness], max(low[stiffness], math.log(least_stiffness_per_rev)))
+        low[stiffness] = max(low[stiffness], math.log(least_stiffness_per_rev))
     for k, name in enumerate(names):
         if name not in free:
             low[k] = high[k] = values[k]

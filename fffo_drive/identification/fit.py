@@ -191,28 +191,33 @@ def _judged(fit: Fit) -> Fit:
     apart = abs(math.log(inertia / start.inertia_nm_s2_per_rev))
     found = [
         (
-            not start.has_inertia, tuple(name for name in MODEL_PARAMETERS if name not in _seen(start)),
+            not start.has_inertia,
+            tuple(name for name in MODEL_PARAMETERS if name not in _seen(start)),
             "hardly anything accelerates: steady speeds tell of friction alone",
         ),
         (not start.has_delay, (INERTIA, "delay_s"), f"up to {1e3 * LAST_DELAY_S:g} ms no delay fits best"),
         (
-            start.is_noisy and sd[0] > LARGEST_NOISY_SD * inertia, (INERTIA,),
+            start.is_noisy and sd[0] > LARGEST_NOISY_SD * inertia,
+            (INERTIA,),
             f"the sensor's noise hides the acceleration above {start.cutoff_hz:g} Hz",
         ),
         (
-            apart > LARGEST_APART, (INERTIA,),
+            apart > LARGEST_APART,
+            (INERTIA,),
             f"force balance and simulation ask for values that are {100.0 * apart:.0f} % apart",
         ),
         (
-            worst.free_run_share > LARGEST_FREE_RUN, (INERTIA, "delay_s"),
+            worst.free_run_share > LARGEST_FREE_RUN,
+            (INERTIA, "delay_s"),
             f"simulated freely over {WINDOW_S:g} s the velocity is wrong by {100.0 * worst.free_run_share:.0f} % of "
             f"itself in {worst.record.name}: the model does not move as the axis does",
         ),
         (
             fit.value("static_nm") - fit.value("coulomb_nm") < STRIBECK_SDS * excess_sd,
-            STEADY[3:], "no Stribeck curve is seen: Fs may be Fc",
+            STEADY[3:],
+            "no Stribeck curve is seen: Fs may be Fc",
         ),
-    ]  # fmt: skip
+    ]
     known = fit.uncertainty
     for holds, names, reason in found:
         if holds:
@@ -278,6 +283,8 @@ def _best_start(
     presliding_rev = [counts * part.lsb_rev for counts in PRESLIDING_LSB]
     while presliding_rev[-1] < start.sliding_travel_rev / PRESLIDING_STEP:
         presliding_rev.append(PRESLIDING_STEP * presliding_rev[-1])
+    longest_rev = 1.0 / frame.least_stiffness_per_rev
+    presliding_rev = list(dict.fromkeys(min(length_rev, longest_rev) for length_rev in presliding_rev))
     candidates = [
         start_vector(start, 1.0 / length_rev, start.static_nm / (ratio * length_rev))
         for length_rev in presliding_rev

@@ -217,9 +217,11 @@ def dependences(found: TorqueResidual, step: int) -> list[Dependence]:
 
 
 def run_residuals(
-    records: Sequence[Record], physical: Floats, terms: Sequence[Sequence[Term]] | None = None,
+    records: Sequence[Record],
+    physical: Floats,
+    terms: Sequence[Sequence[Term]] | None = None,
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
-) -> list[RunResidual]:  # fmt: skip
+) -> list[RunResidual]:
     """Residuals of every record at the same parameters; `terms`: the effects as they act in each, (records,).
 
     `cutoff_hz`: of the torque.

@@ -132,7 +132,7 @@ def undetermined(known: Uncertainty, order: Sequence[str], names: Sequence[str],
 
 def _dependent(
     problem: Problem, space: Coordinates, solution: Solution, free: Integers, sd: Floats
-) -> dict[str, list[str]]:  # fmt: skip
+) -> dict[str, list[str]]:
     """Free parameters by the one at a bound that they depend on: they would move with the step that the bound stops.
 
     A delay of zero is no bound of the fit but of nature, and what stands there is known.

@@ -40,9 +40,16 @@ ENCODER_REV = REFERENCE_POSITION.name
 TEMPERATURE_DEGC = TEMPERATURE.name
 SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
 RECOGNISED = (
-    TIME_S, POSITION_REV, VELOCITY_RPS, COMMAND_A, CURRENT_A, REFERENCE_RPS, SETPOINT_REV, ENCODER_REV,
+    TIME_S,
+    POSITION_REV,
+    VELOCITY_RPS,
+    COMMAND_A,
+    CURRENT_A,
+    REFERENCE_RPS,
+    SETPOINT_REV,
+    ENCODER_REV,
     TEMPERATURE_DEGC,
-)  # fmt: skip
+)
 MOST_LISTED = 40  # columns in a message
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
 
@@ -144,9 +151,10 @@ class Candidates:
             hinted = self._hinted(signal)
             return [hinted] if hinted else []
         found = [
-            c for c in self._free()
+            c
+            for c in self._free()
             if c.meaning.quantity == quantity and c.meaning.asked == asked and not c.meaning.aside
-        ]  # fmt: skip
+        ]
         return sorted(found, key=lambda c: (not c.meaning.measured, c.meaning.by_device))
 
     def _pick(self, signal: str, quantity: str, asked: bool) -> Column | None:

@@ -200,8 +200,9 @@ class Motions(Times):
         if slope and velocity is not None and velocity.unit != ELECTRIC:
             away = {
                 (a, b): abs(abs(slope) * turn / speed - 1.0)
-                for a, turn in ANGLE_UNITS.items() for b, speed in SPEED_UNITS.items()
-            }  # fmt: skip
+                for a, turn in ANGLE_UNITS.items()
+                for b, speed in SPEED_UNITS.items()
+            }
             pairs = sorted((pair for pair in away if away[pair] < SLOPE_TOLERANCE), key=lambda pair: away[pair])
             if pairs and all(away[pairs[0]] < NEAREST * away[other] for other in pairs[1:]):
                 return pairs[0][0], f"{pairs[0][0]}, as the velocity is {slope:.4g} times its derivative", True
@@ -311,9 +312,15 @@ class Motions(Times):
         if jumps is not None:
             evidence += f", {_said_of(jumps)}"
         self.guesses[ENCODER_REV] = Guess(
-            ENCODER_REV, hinted.name, hinted.unit or "-", own, None if jumps is None else jumps.at, None, evidence,
+            ENCODER_REV,
+            hinted.name,
+            hinted.unit or "-",
+            own,
+            None if jumps is None else jumps.at,
+            None,
+            evidence,
             jumps is None or jumps.sure,
-        )  # fmt: skip
+        )
 
 
 def _said_of(wrap: Wrap) -> str:

@@ -78,9 +78,15 @@ class Times(Candidates):
         wrap = stamp_wrap_of(found.values, DAY_S / UNITS[unit].factor)
         rate_hz = 1.0 / (float(np.median(steps)) * UNITS[unit].factor)
         self.guesses[TIME_S] = Guess(
-            TIME_S, found.name, unit, UNITS[unit].factor, wrap, None,
-            f"{evidence}{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else ""), sure,
-        )  # fmt: skip
+            TIME_S,
+            found.name,
+            unit,
+            UNITS[unit].factor,
+            wrap,
+            None,
+            f"{evidence}{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else ""),
+            sure,
+        )
         return None
 
     def _rate_without_time(self, counter: Column | None) -> float | None:

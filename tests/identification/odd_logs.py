@@ -130,8 +130,9 @@ def rows_missing(log):
 def stamps_scatter(log):
     """Stamps that scatter by a fifth of the period."""
     late = 0.2 / RATE_HZ * np.random.default_rng(4).standard_normal(log["time_s"].size)
-    return with_position(log, counted(log["position_rev"])) | {"time_s": np.maximum.accumulate(log["time_s"] + late)
-        + 1e-9 * np.arange(late.size)}  # fmt: skip
+    return with_position(log, counted(log["position_rev"])) | {
+        "time_s": np.maximum.accumulate(log["time_s"] + late) + 1e-9 * np.arange(late.size)
+    }
 
 
 def currents_off(log):
@@ -148,9 +149,22 @@ def held_five(log):
 
 
 ODD = (
-    spikes_each_turn, velocities_off, velocities_zero, velocity_wraps, positions_off, positions_zero, slips,
-    stands_still, hall, eight_bits, noise, rows_missing, stamps_scatter, currents_off, held_five,
-)  # fmt: skip
+    spikes_each_turn,
+    velocities_off,
+    velocities_zero,
+    velocity_wraps,
+    positions_off,
+    positions_zero,
+    slips,
+    stands_still,
+    hall,
+    eight_bits,
+    noise,
+    rows_missing,
+    stamps_scatter,
+    currents_off,
+    held_five,
+)
 
 
 def steady(seed=0):

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record
 from interpreted import hex_results
 
-from fffo_drive.identification.coordinates import axis_of, coordinates, to_coordinates, to_physical
+from fffo_drive.identification.coordinates import (
+    LOGARITHMIC,
+    LONGEST_PRESLIDING,
+    PARAMETERS,
+    axis_of,
+    coordinates,
+    to_coordinates,
+    to_physical,
+)
 from fffo_drive.identification.prediction import jacobian, make_problem, moving_blocks, observer, residual
 from fffo_drive.identification.residuals import velocity_errors
 from fffo_drive.identification.shooting import PATH_COLUMNS, Nuisance, follow, innovations, shoot
+from fffo_drive.model.parameters import LIMITS
+from fffo_drive.symbols import FRICTION
 
 SHOOTING = observer(PERIOD_S, 40.0, 4)
 
@@ -97,3 +108,24 @@ def test_a_standstill_does_not_count():
     kept = moving_blocks(position, 1e-4, 4, PERIOD_S)
     assert not kept[60:440].any()
     assert kept[560:].all()
+
+
+def test_a_fit_stays_within_what_a_model_file_may_hold():
+    """Start values near the ends: a thousand times as much would be a file that nothing reads."""
+    for name in sorted(LOGARITHMIC.intersection(FRICTION)):
+        least, most = LIMITS[f"friction.{name}"]
+        for value in (most / 10.0, 10.0 * max(least, 1e-12)):
+            start = TRUTH.copy()
+            start[PARAMETERS.index(name)] = value
+            space = coordinates(start, PERIOD_S, (name,))
+            k = PARAMETERS.index(name)
+            assert to_physical(space.low, space.scale)[k] >= (1.0 - 1e-12) * least
+            assert value < to_physical(space.high, space.scale)[k] <= (1.0 + 1e-12) * most
+
+
+def test_presliding_is_no_longer_than_that_of_a_machine():
+    k, least_per_rev = PARAMETERS.index("stiffness_per_rev"), 1.0 / LONGEST_PRESLIDING["rotary"]
+    start = TRUTH.copy()
+    start[k] = 2.0 * least_per_rev
+    space = coordinates(start, PERIOD_S, ("stiffness_per_rev",), least_stiffness_per_rev=least_per_rev)
+    assert to_physical(space.low, space.scale)[k] == pytest.approx(least_per_rev)

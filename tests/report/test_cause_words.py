@@ -66,8 +66,12 @@ def test_a_cause_is_told_in_words_of_a_machine(found, text):
 
 def test_a_wave_with_a_phase_for_each_run_has_one_amplitude():
     found = effect("unbalance", cos_nm=0.0, sin_nm=0.0, ratio=1.0)
-    numbers = (Number("cos_nm", 3.0, None, "Nm", "a"), Number("sin_nm", 4.0, None, "Nm", "a"),
-               Number("cos_nm", -5.0, None, "Nm", "b"), Number("sin_nm", 0.0, None, "Nm", "b"))  # fmt: skip
+    numbers = (
+        Number("cos_nm", 3.0, None, "Nm", "a"),
+        Number("sin_nm", 4.0, None, "Nm", "a"),
+        Number("cos_nm", -5.0, None, "Nm", "b"),
+        Number("sin_nm", 0.0, None, "Nm", "b"),
+    )
     found = finding(name="unbalance", alternatives=(), parameters=numbers, torque_rms_nm=3.5)
     said = "the weight of the load takes up to 5.0 Nm at the motor shaft, by the angle of the output (3.5 Nm rms)"
     assert in_words(found, MODEL, ROTARY) == said

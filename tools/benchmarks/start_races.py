@@ -114,9 +114,14 @@ def races(daemon: Streaming, count: int, shaft: ShaftOnBus) -> tuple[list[tuple[
 
 
 def one_race(
-    channels: Channels, client: DaemonClient, starter: DaemonClient, shaft: ShaftOnBus,
-    race: tuple[str, tuple[str, ...], Any, float], tally: Counter[tuple[str, str, str]], wrong: list[str],
-) -> None:  # fmt: skip
+    channels: Channels,
+    client: DaemonClient,
+    starter: DaemonClient,
+    shaft: ShaftOnBus,
+    race: tuple[str, tuple[str, ...], Any, float],
+    tally: Counter[tuple[str, str, str]],
+    wrong: list[str],
+) -> None:
     """A start on one connection, what ends it on another a moment later; then nothing may move."""
     channel, ending, profile, delay_s = race
     how = " + ".join(ending if channel != "page" else ("disable", *ending[1:]))
