@@ -129,7 +129,7 @@ def test_a_law_that_is_no_mapping_is_refused_at_its_key_in_an_old_file_too(contr
         check(data, AxisFile, "axis.yaml")
     del data["controller"]
     with pytest.raises(DocumentError, match=r"^axis\.yaml:1: controller: missing$"):
-        check(data, AxisFile, "axis.yaml")
+        check(data, AxisFile, "axis.yaml", {(): 1})
 
 
 @pytest.mark.parametrize("path", sorted((CONFIGS / "scenarios").glob("*.yaml")), ids=lambda p: p.stem)
