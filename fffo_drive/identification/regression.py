@@ -56,9 +56,7 @@ class TorqueStart(NamedTuple):
     constant_nm: float  # 0 if the axis turns one way only
     most_friction_nm: float = math.inf  # that acted in the logs, stuck or sliding, without its viscous part
     cutoff_hz: float = DEFAULT_CUTOFF_HZ
-    is_noisy: bool = (
-        False  # above the cut-off, which is lowered for it, the acceleration is hidden by the sensor's noise
-    )
+    is_noisy: bool = False  # the cut-off is lowered: above it the sensor's noise hides the acceleration
     has_inertia: bool = True  # False: hardly anything accelerates, and the inertia is held at no value of the axis
     has_stribeck: bool = True  # False: nor does the friction fall with speed, and Fs is Fc
     has_delay: bool = True  # False: the scan has no minimum, and the delay is not known
