@@ -211,13 +211,14 @@ class Chain:
         return in_this_process(command, *words)
 
     def delays_s(self) -> tuple[float, float]:
-        """Of `commission` and of `identify`, command to measured velocity; nan where the chain ended before."""
+        """Of `commission` and of `identify`, command to measured velocity; nan where there is none that can be read."""
         measured_s, fitted_s = math.nan, math.nan
         if record_path(commissioning_plan(self.axis)).exists():
             measured_s = commissioned(self.axis, read_axis(self.axis)).delay_s or math.nan
         fitted = self.place / IDENTIFIED / "model.yaml"
         if fitted.exists():
-            fitted_s = read_model(fitted).delay_s.value
+            with contextlib.suppress(DocumentError):
+                fitted_s = read_model(fitted).delay_s.value
         return measured_s, fitted_s
 
     def type(self, plant: PlantConfig, torque_constant_nm_per_a: float) -> dict[str, Any]:
