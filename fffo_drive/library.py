@@ -359,8 +359,8 @@ def _as_written(axis: Axis | str | Path) -> Axis:
     written = read_axis(axis.path if isinstance(axis, Axis) else axis)
     if isinstance(axis, Axis) and (axis.file, axis.model) != (written.file, written.model):
         raise DocumentError(
-            f"axis: it was changed since {axis.path} was read, and what it does is recorded with its file: write it "
-            "first, axis = fd.write_axis(axis, FILE)"
+            f"axis: it has been changed since {axis.path} was read, and a run is recorded with its axis file: write it "
+            "first with axis = fd.write_axis(axis, FILE)"
         )
     return written
 

@@ -62,11 +62,15 @@ class _Effect:
         level = getattr(self.model.friction, base).value if self.model is not None else 0.0
         share = f" ({percent(abs(value) / level)})" if level > 0.0 else ""
         size = f"{self.quantity(value, unit)}{share}"
-        return f"{what} is {size} higher {_way(value)} and as much lower {_way(-value)}"
+        return f"{what} is {size} {_one_way(value)}"
 
 
 def _way(value: float) -> str:
     return "forwards" if value > 0.0 else "backwards"
+
+
+def _one_way(excess: float) -> str:
+    return f"higher {_way(excess)} and the same amount lower {_way(-excess)}"
 
 
 def _rises(value: float) -> str:
@@ -74,62 +78,59 @@ def _rises(value: float) -> str:
 
 
 def _per_turn(effect: _Effect) -> str:
-    return f"in {effect['order']:.4g} waves a motor turn"
+    return f"with {effect['order']:.4g} periods per motor turn"
 
 
 SAID: dict[str, Callable[[_Effect], str]] = {
     "torque_offset": lambda e: f"a constant torque of {e.quantity(e['torque_nm'], 'Nm')} pulls {_way(-e['torque_nm'])}",
-    "asymmetric_coulomb": lambda e: (
-        f"sliding friction is {percent(abs(e['share']))} higher {_way(e['share'])} and as much lower "
-        f"{_way(-e['share'])}"
-    ),
+    "asymmetric_coulomb": lambda e: f"sliding friction is {percent(abs(e['share']))} {_one_way(e['share'])}",
     "asymmetric_viscous": lambda e: e.one_way(
         e["excess_nm_per_rps"], "viscous_nm_per_rps", "viscous friction", "Nm/rps"
     ),
     "stribeck_shape": lambda e: (
-        f"friction at standstill is {e.quantity(e['bump_nm'], 'Nm')} {'higher' if e['bump_nm'] > 0.0 else 'lower'}, "
-        f"which is gone above some {e.quantity(e['speed_rps'], 'rps')}"
+        f"friction near standstill is {e.quantity(e['bump_nm'], 'Nm')} {'higher' if e['bump_nm'] > 0.0 else 'lower'}; "
+        f"the difference fades above about {e.quantity(e['speed_rps'], 'rps')}"
     ),
-    "presliding_shape": lambda e: f"{e.quantity(e['torque_nm'], 'Nm')} of the friction build up in a second stage",
+    "presliding_shape": lambda e: f"{e.quantity(e['torque_nm'], 'Nm')} of the friction builds up in a second stage",
     "second_surface": lambda e: (
-        f"{e.quantity(e['level_nm'], 'Nm')} of the friction build up only over {e.quantity(e['travel_rev'], 'rev')}"
+        f"{e.quantity(e['level_nm'], 'Nm')} of the friction builds up only over {e.quantity(e['travel_rev'], 'rev')}"
     ),
     "dwell_stiction": lambda e: (
-        f"the break-away torque rises by up to {e.quantity(e['peak_nm'], 'Nm')} with the time at rest, over some "
-        f"{sized(e['tau_s'], 's')}"
+        f"the break-away torque rises by up to {e.quantity(e['peak_nm'], 'Nm')} with the time at rest (time constant "
+        f"{sized(e['tau_s'], 's')})"
     ),
     "load_dependent_friction": lambda e: f"friction takes {percent(e['share'])} of the torque that is transmitted",
     "friction_ripple": lambda e: f"friction varies by \u00b1{percent(e.wave('_share'))} {_per_turn(e)}",
     "coulomb_drift": lambda e: (
-        f"sliding friction {_rises(e['share'])} by {percent(abs(e['share']))}, over some {sized(e['tau_s'], 's')}"
+        f"sliding friction {_rises(e['share'])} by {percent(abs(e['share']))} (time constant {sized(e['tau_s'], 's')})"
     ),
     "viscous_drift": lambda e: (
-        f"viscous friction {_rises(e['change_nm_per_rps'])} by {e.quantity(e['change_nm_per_rps'], 'Nm/rps')}, over "
-        f"some {sized(e['tau_s'], 's')}"
+        f"viscous friction {_rises(e['change_nm_per_rps'])} by {e.quantity(e['change_nm_per_rps'], 'Nm/rps')} (time "
+        f"constant {sized(e['tau_s'], 's')})"
     ),
     "cogging": lambda e: f"a torque of \u00b1{e.quantity(e.wave('_nm'), 'Nm')} {_per_turn(e)}",
     "torque_ripple": lambda e: f"the motor's torque varies by \u00b1{percent(e.wave('_share'))} {_per_turn(e)}",
     "unbalance": lambda e: (
-        f"the weight of the load takes up to {e.quantity(e.wave('_nm'), 'Nm')} at the motor shaft, by the angle of the "
-        "output"
+        f"the weight of the load needs up to {e.quantity(e.wave('_nm'), 'Nm')} at the motor shaft, depending on the "
+        "output angle"
     ),
     "torque_saturation": lambda e: (
         f"far above {e.quantity(e['knee_a'], 'A')} the motor gives {percent(e['share'])} less torque"
     ),
-    "dead_zone": lambda e: f"{e.quantity(e['lost_nm'], 'Nm')} are lost beyond the first {sized(e['width_a'], 'A')}",
+    "dead_zone": lambda e: f"{e.quantity(e['lost_nm'], 'Nm')} of torque is lost above {sized(e['width_a'], 'A')}",
     "voltage_limit": lambda e: (
         f"the voltage leaves no torque at {e.quantity(e['no_load_rps'], 'rps')}, and at most "
         f"{e.quantity(e['stall_nm'], 'Nm')} at standstill"
     ),
     "delay": lambda e: f"torque comes {sized(e['delay_s'], 's')} later than the model says",
     "current_lag": lambda e: (
-        f"{percent(e['share'])} of the torque follow with a time constant of {sized(e['tau_s'], 's')}"
+        f"{percent(e['share'])} of the torque follows with a time constant of {sized(e['tau_s'], 's')}"
     ),
     "elasticity": lambda e: (
-        f"{percent(e['share'])} of the inertia swing behind a spring, at {e['frequency_hz']:.3g} Hz"
+        f"{percent(e['share'])} of the inertia is behind a spring and swings at {e['frequency_hz']:.3g} Hz"
     ),
     "backlash": lambda e: (
-        f"{percent(e['share'])} of the inertia are behind a play of {e.quantity(e['gap_rev'], 'rev')} at the motor "
+        f"{percent(e['share'])} of the inertia is behind a backlash of {e.quantity(e['gap_rev'], 'rev')} at the motor "
         "shaft"
     ),
     "resolver_error": lambda e: (

@@ -116,11 +116,13 @@ def _capital(text: str) -> str:
 
 def _explained(diagnosis: Diagnosis, words: DiagnosisWords) -> str:
     """By how much all that was found lowers the error."""
-    held_out = diagnosis.before is not None and diagnosis.after is not None
-    pair = (diagnosis.before, diagnosis.after) if held_out else (diagnosis.fit_before, diagnosis.fit_after)
-    old, new = (significant(one.torque_relative_percent.value, 2) if one is not None else "\u2013" for one in pair)
-    where = "held-out" if held_out else "fitted"
-    change = f"is {old} %" if old == new else f"goes from {old} to {new} %"
+    pair = [one for one in (diagnosis.before, diagnosis.after) if one is not None]
+    where = "held-out" if len(pair) == 2 else "fitted"
+    if where == "fitted":
+        pair = [diagnosis.fit_before, diagnosis.fit_after]
+    before, after = (one.torque_relative_percent.value for one in pair)
+    old, new = significant(before, 2), significant(after, 2)
+    change = f"is {old} %" if old == new else f"{'rises' if after > before else 'falls'} from {old} to {new} %"
     return f"The model's error on the {where} runs {change} of the {words.torque} that the axis needs."
 
 

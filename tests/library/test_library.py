@@ -151,9 +151,9 @@ def test_what_was_changed_is_run_once_it_is_written(short_profile, tmp_path):
     higher = friction.coulomb_nm.model_copy(update={"value": 1.2 * friction.coulomb_nm.value})
     model = axis.model.model_copy(update={"friction": friction.model_copy(update={"coulomb_nm": higher})})
     changed = replace(axis.change({"controller.integral_a_per_rev": 5.0}), model=model)
-    with pytest.raises(DocumentError, match=r"it was changed since .*axis_simulated.yaml was read.*fd.write_axis"):
+    with pytest.raises(DocumentError, match=r"it has been changed since .*axis_simulated.yaml was read.*fd.write_axis"):
         fd.run(changed, tmp_path / "no.mcap")
-    with pytest.raises(DocumentError, match="it was changed since"):
+    with pytest.raises(DocumentError, match="it has been changed since"):
         fd.adopt(tmp_path / "model.yaml", changed)
     (tmp_path / "place").mkdir()
     written = fd.write_axis(changed, tmp_path / "place" / "mine.yaml")

@@ -45,19 +45,20 @@ def test_a_size_is_written_as_a_person_would(value, unit, text):
     [
         (
             effect("asymmetric_viscous", excess_nm_per_rps=-0.2 * VISCOUS),
-            f"viscous friction is {sized(0.2 * VISCOUS, 'Nm/rps')} (20 %) higher backwards and as much lower forwards",
+            f"viscous friction is {sized(0.2 * VISCOUS, 'Nm/rps')} (20 %) higher backwards and the same amount lower "
+            "forwards",
         ),
         (
             effect("asymmetric_coulomb", share=0.1),
-            "sliding friction is 10 % higher forwards and as much lower backwards",
+            "sliding friction is 10 % higher forwards and the same amount lower backwards",
         ),
         (effect("torque_offset", torque_nm=0.003), "a constant torque of 3.0 mNm pulls backwards"),
         (
             effect("cogging", cos_nm=0.03, sin_nm=-0.04, order=72.0),
-            "a torque of ±50 mNm in 72 waves a motor turn",
+            "a torque of ±50 mNm with 72 periods per motor turn",
         ),
         (effect("delay", delay_s=0.0021), "torque comes 2.1 ms later than the model says"),
-        (effect("coulomb_drift", share=-0.25, tau_s=30.0), "sliding friction falls by 25 %, over some 30 s"),
+        (effect("coulomb_drift", share=-0.25, tau_s=30.0), "sliding friction falls by 25 % (time constant 30 s)"),
     ],
 )
 def test_a_cause_is_told_in_words_of_a_machine(found, text):
@@ -73,16 +74,16 @@ def test_a_wave_with_a_phase_for_each_run_has_one_amplitude():
         Number("sin_nm", 0.0, None, "Nm", "b"),
     )
     found = finding(name="unbalance", alternatives=(), parameters=numbers, torque_rms_nm=3.5)
-    said = "the weight of the load takes up to 5.0 Nm at the motor shaft, by the angle of the output (3.5 Nm rms)"
+    said = "the weight of the load needs up to 5.0 Nm at the motor shaft, depending on the output angle (3.5 Nm rms)"
     assert in_words(found, MODEL, ROTARY) == said
 
 
 def test_on_a_linear_axis_there_are_newtons_and_metres():
     found = effect("asymmetric_viscous", 3.0, excess_nm_per_rps=41.0)
     assert in_words(found, None, LINEAR) == (
-        "viscous friction is 41 N s/m higher forwards and as much lower backwards (3.0 N rms)"
+        "viscous friction is 41 N s/m higher forwards and the same amount lower backwards (3.0 N rms)"
     )
-    assert "play of 12 µm at the motor" in in_words(effect("backlash", share=0.4, gap_rev=1.2e-5), None, LINEAR)
+    assert "backlash of 12 µm at the motor" in in_words(effect("backlash", share=0.4, gap_rev=1.2e-5), None, LINEAR)
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "lookup"])

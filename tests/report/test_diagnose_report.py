@@ -109,7 +109,7 @@ def test_verdict_comes_first_and_says_how_sure_and_what_it_may_be_instead():
     assert (report.verdict.finding, report.verdict.confidence) == ("cogging or torque ripple", "cannot tell")
     lines = {line.label: line for line in report.verdict.lines}
     assert list(lines) == ["Explained", "Cause", "Next"]
-    explained = "The model's error on the held-out runs goes from 5.2 to 2.1 % of the torque that the axis needs."
+    explained = "The model's error on the held-out runs falls from 5.2 to 2.1 % of the torque that the axis needs."
     assert lines["Explained"].text == explained
     assert lines["Cause"].text.startswith(
         "8.0 mNm rms, torque that varies with the motor angle and keeps its sign. There "
