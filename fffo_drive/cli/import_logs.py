@@ -1,7 +1,8 @@
 """Convert logs of other programs to recordings: recognise their columns, give the reasons, write MCAP.
 
 LOG is text with any delimiter (also with metadata and unit lines, decimal commas or no column names), an export of EPOS
-Studio or TwinCAT Scope, MATLAB (.mat), JSON records, NPZ, Parquet, or an MCAP of another program. Each becomes
+Studio or TwinCAT Scope, MATLAB (.mat), JSON records, NPZ, Parquet, an MCAP of another program, or a trace of a CAN bus
+(candump, ASC, TRC, BLF, python-can CSV) with the EDS or DCF of the drive (--eds). Each becomes
 DIR/NAME.mcap, which `identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about the axis.
 
 Whatever names, units and data leave undecided is an assumption, marked with "?". At a terminal the program asks for
@@ -24,6 +25,7 @@ from typing import Any
 from ..documents import did_you_mean
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
+from ..importing.can_trace import NodeNeededError
 from ..importing.candidates import (
     COMMAND_A,
     CURRENT_A,
@@ -37,6 +39,7 @@ from ..importing.candidates import (
     Hints,
     Recognition,
 )
+from ..importing.source import TraceDrive
 from ..importing.times import RateNeededError
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError
@@ -53,6 +56,7 @@ from ..workflows.import_logs import (
     recognised_logs,
     write_import,
 )
+from ..workflows.trace_drive import SCALES, trace_drive
 
 SAY_IT = "say what it is with --unit, --position, --velocity, --command and their like"
 ROLES = {
@@ -87,6 +91,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     roles.add_argument(
         "--counts-per-turn", type=float, metavar="N", help="counts per revolution of a position in counts"
     )
+    trace = parser.add_argument_group("a trace of a CAN bus")
+    trace.add_argument(
+        "--eds",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="EDS or DCF of the drive; a drive profile (a file, or a name that `config drives` lists); an axis file. "
+        "May be given twice: the mapping of the PDOs from one, scales from the other",
+    )
+    trace.add_argument("--node", metavar="ID", help="node id of the drive, or CHANNEL:ID (default: the only one)")
+    trace.add_argument("--velocity-units", type=float, metavar="N", help="0x606C at one revolution per second")
+    trace.add_argument("--rated-torque", type=float, metavar="NM", help="rated torque of the motor (0x6076)")
+    trace.add_argument("--rated-current", type=float, metavar="A", help="rated current of the motor (0x6075)")
     axis = parser.add_argument_group("the axis")
     axis.add_argument(
         "--torque-constant",
@@ -134,20 +151,24 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _recognised(options: argparse.Namespace, hints: Hints) -> tuple[list[RecognisedLog], Hints]:
-    """The logs, recognised; at a terminal the sampling rate is asked for where nothing in a log says it."""
+    """The logs, recognised; at a terminal sampling rate and node are asked for where nothing in a log says them."""
     map_file = Path(options.map) if options.map else None
-    try:
-        return recognised_logs(options.logs, hints, map_file), hints
-    except RateNeededError as error:
-        if options.yes or options.json or not sys.stdin.isatty():
-            raise
-        print(error)
-    answer = input("samples per second: ").strip()
-    try:
-        hints = replace(hints, rate_hz=_positive("--rate", float(answer), "samples per second"))
-    except ValueError:
-        raise RecordingError(f"{answer!r} is no number of samples per second") from None
-    return recognised_logs(options.logs, hints, map_file), hints
+    while True:
+        try:
+            return recognised_logs(options.logs, hints, map_file), hints
+        except (RateNeededError, NodeNeededError) as error:
+            if options.yes or options.json or not sys.stdin.isatty():
+                raise
+            print(error)
+            asked = error
+        if isinstance(asked, NodeNeededError):
+            hints = replace(hints, drive=replace(hints.drive or TraceDrive(), node=input("node id: ").strip()))
+            continue
+        answer = input("samples per second: ").strip()
+        try:
+            hints = replace(hints, rate_hz=_positive("--rate", float(answer), "samples per second"))
+        except ValueError:
+            raise RecordingError(f"{answer!r} is no number of samples per second") from None
 
 
 def _positive(name: str, value: float, what: str) -> float:
@@ -195,6 +216,8 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
         units[column] = unit
     for name, value, what in (
         ("--rate", options.rate, "samples per second"), ("--counts-per-turn", options.counts_per_turn, "counts"),
+        ("--velocity-units", options.velocity_units, "units"), ("--rated-torque", options.rated_torque, "Nm"),
+        ("--rated-current", options.rated_current, "A"),
     ):  # fmt: skip
         if value is not None:
             _positive(name, value, what)
@@ -204,6 +227,14 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
         known_units(units),
     )  # fmt: skip
     declared = dict(mapping.facts)
+    drive = trace_drive(
+        options.eds, options.node, dict(zip(SCALES, (
+            hints.counts_per_turn, options.velocity_units, options.rated_torque, options.rated_current,
+        ), strict=True)), options.torque_constant or mapping.facts.get("torque_constant_nm_per_a"),
+    )  # fmt: skip
+    hints = replace(hints, drive=drive)
+    if drive.torque_constant_nm_per_a is not None:
+        declared["torque_constant_nm_per_a"] = drive.torque_constant_nm_per_a
     given = {"torque_constant_nm_per_a": options.torque_constant} | {
         name: getattr(options, name) or None for name in DECLARED[1:]
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ..arrays import Floats
@@ -23,7 +23,7 @@ from .evidence import (
     wrap_of,
 )
 from .names import INPUTS, POSITION, VELOCITY, Meaning, meaning_of
-from .source import Source
+from .source import Source, TraceDrive
 from .units import (
     COUNT,
     ELECTRIC,
@@ -65,6 +65,7 @@ class Hints:
     linear: bool = False
     roles: Mapping[str, str] = field(default_factory=dict)  # signal -> column, "" for none
     units: Mapping[str, str] = field(default_factory=dict)  # column -> unit
+    drive: TraceDrive | None = None  # whose PDOs a trace of a CAN bus holds
 
 
 class Guess(NamedTuple):
@@ -110,7 +111,8 @@ class Candidates:
     """The columns of a source, the guesses about them, and why each is one."""
 
     def __init__(self, source: Source, hints: Hints) -> None:
-        self.source, self.hints = source, hints
+        self.source = source
+        self.hints = hints = replace(hints, roles={**source.roles, **hints.roles}) if source.roles else hints
         self.guesses: dict[str, Guess] = {}
         self.remarks: list[str] = []
         self.doubts: dict[str, str] = {}  # signal: why its column is an assumption
@@ -122,7 +124,8 @@ class Candidates:
             unit = hints.units.get(name, source.units.get(name))
             meaning = meaning_of(name, unit)
             register = None
-            if meaning.quantity in (POSITION, VELOCITY, *INPUTS):
+            typed = name in source.roles.values()  # by what the file itself says: no number lost its sign
+            if meaning.quantity in (POSITION, VELOCITY, *INPUTS) and not typed:
                 register = register_of(values, counter=meaning.quantity == POSITION)
                 if register is None and meaning.quantity != POSITION and unit in (None, "counts"):
                     register = offset_of(values)

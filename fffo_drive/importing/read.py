@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import re
+import contextlib
+import zlib
 from pathlib import Path
 
 from ..extras import needs_extra
 from ..recording.errors import RecordingError
 from ..recording.files import regular
-from .source import Source
+from ..recording.unpack import GZIP, GZIP_WINDOW_BITS
+from .can_frames import trace_kind
+from .source import Source, TraceDrive
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 PARQUET_MAGIC = b"PAR1"
@@ -18,40 +21,29 @@ MATLAB_MAGIC = b"MATLAB"
 OTHERS = {b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a workbook of Excel (XLS)"}
 
 BEGIN_BYTES = 1024
-TRACES = {  # a line of each, which no table of numbers has
-    "candump": re.compile(r"\s*(\(\d+\.\d+\)\s+)?\w+\s+[0-9A-Fa-f]{3,8}(#|\s+\[\d+\]\s)"),
-    "PCAN-View, TRC": re.compile(r";\$FILEVERSION="),
-    "Vector ASC": re.compile(r"base (hex|dec)\s+timestamps\b", re.IGNORECASE),
-    "python-can CSV": re.compile(r"timestamp,arbitration_id,", re.IGNORECASE),
-}
 
 
-def read_source(path: Path | str) -> Source:
-    """Read one file. Raises RecordingError for what cannot be used, OSError for what cannot be opened."""
+def read_source(path: Path | str, drive: TraceDrive | None = None) -> Source:
+    """Read one file. `drive`: whose PDOs a trace of a CAN bus holds.
+
+    Raises RecordingError for what cannot be used, OSError for what cannot be opened."""
     path = Path(path)
     with regular(path).open("rb") as file:
         begin = file.read(BEGIN_BYTES)
+    if begin.startswith(GZIP):
+        with contextlib.suppress(zlib.error):  # what reads it then says so
+            begin = zlib.decompressobj(GZIP_WINDOW_BITS).decompress(begin, BEGIN_BYTES)
     if not begin:
         raise RecordingError(f"{path}: the file is empty")
     try:
-        return _read(path, begin)
+        return _read(path, begin, drive)
     except ImportError as error:
         raise RecordingError(f"{path}: {error}: {needs_extra('reading it', 'import')}") from error
     except MemoryError as error:
         raise RecordingError(f"{path}: too large for the memory of this machine") from error
 
 
-def trace_kind(begin: bytes) -> str | None:
-    """The program or format of a trace of a CAN bus, by its first bytes; None for any other file."""
-    if begin.startswith(b"LOGG"):
-        return "BLF"
-    if not begin or b"\0" in begin:
-        return None
-    lines = begin.decode("latin-1").splitlines()
-    return next((kind for kind, shape in TRACES.items() if any(shape.match(line) for line in lines)), None)
-
-
-def _read(path: Path, begin: bytes) -> Source:
+def _read(path: Path, begin: bytes, drive: TraceDrive | None) -> Source:
     from . import binary
 
     suffix = path.suffix.lower()
@@ -71,11 +63,11 @@ def _read(path: Path, begin: bytes) -> Source:
         if begin.startswith(magic):
             raise RecordingError(f"{path}: {kind}, no log")
     if (trace := trace_kind(begin)) is not None:
-        raise RecordingError(
-            f"{path}: a trace of a CAN bus ({trace}): its frames hold the drive's values as bytes, and only the "
-            "mapping of the PDOs says what they mean. Decode it first: python-can reads it (can.LogReader), canopen "
-            "decodes the frames with the EDS of the drive (node.tpdo); import the values as CSV, a row for each SYNC"
-        )
+        from .can_trace import read_trace
+
+        return read_trace(path, trace, drive)
+    if drive is not None and drive.for_a_trace:
+        raise RecordingError(f"{path}: no trace of a CAN bus: --eds, --node and the scales of a drive are for one")
     if suffix == ".json" or begin.lstrip()[:1] in (b"{", b"["):
         return binary.read_json(path)
     from .text import read_text

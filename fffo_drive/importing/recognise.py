@@ -109,7 +109,7 @@ class _Recogniser(Motions):
         for signal, guess in self.guesses.items():
             register = self.columns[guess.column].register
             evidence = guess.evidence + (f"; {register.said}" if register else "")
-            doubt = self.doubts.get(signal)
+            doubt = self.doubts.get(signal) or self.source.doubts.get(guess.column)
             if register is not None and register.kind == OFFSET and signal not in self.hints.roles:
                 doubt = doubt or f"{register.at:g} is assumed to stand for zero"
             self.guesses[signal] = guess._replace(

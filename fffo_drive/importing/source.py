@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,29 @@ from ..recording.errors import RecordingError
 from ..recording.files import check_columns
 from .units import split_name
 
+if TYPE_CHECKING:
+    from ..drive.canopen.config import CanopenDriveConfig
+
 LEAST_ROWS = 2
+
+
+@dataclass(frozen=True)
+class TraceDrive:
+    """The drive whose PDOs are in a trace of a CAN bus, as far as the user says."""
+
+    node: str | None = None  # [CHANNEL:]ID
+    eds: Path | None = None  # EDS or DCF
+    config: CanopenDriveConfig | None = None  # of a profile or an axis file: PDOs, objects, signs
+    said: str = ""  # where that is from
+    keys: Mapping[str, Any] = field(default_factory=dict)  # scales of this drive, as in a drive section
+    profile_keys: Mapping[str, Any] = field(default_factory=dict)  # likewise, of its family
+    profile_named: bool = False  # by the user; else by the vendor's number in the EDS
+    torque_constant_nm_per_a: float | None = None
+
+    @property
+    def for_a_trace(self) -> bool:
+        """Whether something is said that no other log needs."""
+        return bool(self.node or self.eds or self.config or set(self.keys) - {"counts_per_rev"})
 
 
 @dataclass(frozen=True)
@@ -29,6 +51,8 @@ class Source:
     scalars: dict[str, float] = field(default_factory=dict)  # single numbers that came with the data
     remarks: tuple[str, ...] = ()  # what was left out, and why
     run: int = 0  # of several in one file, from 1; 0: the only one
+    roles: dict[str, str] = field(default_factory=dict)  # signal -> column, where the file itself says which is which
+    doubts: dict[str, str] = field(default_factory=dict)  # column -> why its scale is an assumption
 
     @property
     def rows(self) -> int:

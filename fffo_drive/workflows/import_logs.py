@@ -114,7 +114,7 @@ def recognised_logs(
     Raises RecordingError that names the file and the option to give, DocumentError for columns of the map that a log
     does not have.
     """
-    sources = [read_source(Path(path)) for path in paths]
+    sources = [read_source(Path(path), hints.drive) for path in paths]
     if map_file is not None:
         refuse(map_file, [problem for source in sources for problem in _not_in(source, hints, read_map(map_file))])
     return [one for source in sources for one in _recognised_runs(runs_of(source, hints), hints)]
