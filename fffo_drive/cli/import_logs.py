@@ -39,6 +39,7 @@ from ..importing.candidates import (
     Hints,
     Recognition,
 )
+from ..importing.joints import JointNeededError
 from ..importing.source import TraceDrive
 from ..importing.times import RateNeededError
 from ..importing.units import UNITS, unit_of
@@ -91,6 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     roles.add_argument(
         "--counts-per-turn", type=float, metavar="N", help="counts per revolution of a position in counts"
     )
+    parser.add_argument_group("a log of a robot").add_argument(
+        "--joint",
+        metavar="NAME",
+        help="of vectors with a number a joint (LeRobot, JointState): name, number from 0, or all (a recording each)",
+    )
     trace = parser.add_argument_group("a trace of a CAN bus")
     trace.add_argument(
         "--eds",
@@ -140,29 +146,41 @@ def execute(options: argparse.Namespace) -> int:
             print("nothing was written")
             return 0
         logs, hints = asked
-    done = write_import(logs, hints, declared, Path(options.out))
+    joints = list(dict.fromkeys(one.source.joint for one in logs))
+    written = []
+    for joint in joints:  # an axis each
+        own = [one for one in logs if one.source.joint == joint]
+        out = Path(options.out) / joint.replace("/", ".") if len(joints) > 1 else Path(options.out)
+        done = write_import(own, hints, declared, out)
+        written.append(_as_json(own, done))
+        if not options.json:
+            _print(own[0].found, done, "torque_constant_nm_per_a" in declared, out)
+            if assumptions(own):
+                print(f"assumed: {'; '.join(_as_assumed(guess, own[0].found) for guess in assumptions(own))}")
     if options.json:
-        print(json.dumps(_as_json(logs, done), indent=2))
-    else:
-        _print(logs[0].found, done, "torque_constant_nm_per_a" in declared, Path(options.out))
-        if assumptions(logs):
-            print(f"assumed: {'; '.join(_as_assumed(guess, logs[0].found) for guess in assumptions(logs))}")
+        print(json.dumps(written[0] if len(written) == 1 else written, indent=2))
     return 0
 
 
 def _recognised(options: argparse.Namespace, hints: Hints) -> tuple[list[RecognisedLog], Hints]:
-    """The logs, recognised; at a terminal sampling rate and node are asked for where nothing in a log says them."""
+    """The logs, recognised; at a terminal the rate, node or joint that nothing in a log says is asked for."""
     map_file = Path(options.map) if options.map else None
     while True:
         try:
             return recognised_logs(options.logs, hints, map_file), hints
-        except (RateNeededError, NodeNeededError) as error:
+        except (RateNeededError, NodeNeededError, JointNeededError) as error:
             if options.yes or options.json or not sys.stdin.isatty():
+                if isinstance(error, JointNeededError):
+                    words = [*options.logs, "--joint", error.joint, "--out", options.out]
+                    raise RecordingError(f"{error}: fffo-drive import {shlex.join(words)}") from error
                 raise
             print(error)
             asked = error
         if isinstance(asked, NodeNeededError):
             hints = replace(hints, drive=replace(hints.drive or TraceDrive(), node=input("node id: ").strip()))
+            continue
+        if isinstance(asked, JointNeededError):
+            hints = replace(hints, joint=input("joint: ").strip())
             continue
         answer = input("samples per second: ").strip()
         try:
@@ -232,7 +250,7 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
             hints.counts_per_turn, options.velocity_units, options.rated_torque, options.rated_current,
         ), strict=True)), options.torque_constant or mapping.facts.get("torque_constant_nm_per_a"),
     )  # fmt: skip
-    hints = replace(hints, drive=drive)
+    hints = replace(hints, drive=drive, joint=options.joint)
     if drive.torque_constant_nm_per_a is not None:
         declared["torque_constant_nm_per_a"] = drive.torque_constant_nm_per_a
     given = {"torque_constant_nm_per_a": options.torque_constant} | {
@@ -242,8 +260,13 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
 
 
 def _print_tables(logs: Sequence[RecognisedLog]) -> None:
+    """A table for each log; a line for an episode of a data set that has the same meaning as the one before."""
+    told: list[tuple[str, str]] = []
     for one in logs:
-        print("\n".join(_table(one)))
+        meaning = [(guess.signal, guess.column) for guess in one.found.guesses]
+        alike = one.source.of_dataset and meaning == told
+        print("\n".join([f"{one.source.said}: {one.source.rows} rows, likewise"] if alike else _table(one)))
+        told = meaning
 
 
 def _asked(logs: list[RecognisedLog], hints: Hints) -> tuple[list[RecognisedLog], Hints] | None:

@@ -19,6 +19,7 @@ from .source import Source, source_of_arrays
 
 LARGEST_ARRAYS_BYTES = 1 << 32  # of a log as numbers, unpacked
 ZIP_MAGIC = b"PK\x03\x04"
+LONGEST_LIST = 512  # numbers a row: a picture is no log of an axis
 DEEPEST = 8  # of structures within structures
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 MAT_BLOCK_BYTES = 512  # in front of the HDF5 of MATLAB
@@ -115,21 +116,68 @@ def read_npz(path: Path) -> Source:
 
 
 def read_parquet(path: Path) -> Source:
-    """Columns of numbers of a Parquet or Feather file."""
+    """Columns of numbers of a Parquet or Feather file, and lists of numbers: a column each, `name[k]`."""
     import pyarrow
     from pyarrow import feather, parquet
+
+    from .joints import declared_names, with_joints
 
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
             inside = parquet.read_metadata(path)
             check_columns(path, inside.num_columns)
             _check_size(path, inside.num_rows * inside.num_columns * np.float64().nbytes)
-            table = parquet.read_table(path)
+            schema = parquet.read_schema(path)
+            read = [name for name in schema.names if not _holds_no_numbers(schema.field(name).type)]
+            table = parquet.read_table(path, columns=read)
         else:
             table = feather.read_table(path)
+            schema = table.schema
+            read = [name for name in schema.names if not _holds_no_numbers(schema.field(name).type)]
     except (pyarrow.ArrowInvalid, OSError) as error:
         raise RecordingError(f"{path}: not a readable Parquet or Feather file: {error}") from error
-    return source_of_arrays(path, {name: table.column(name).to_numpy() for name in table.column_names})
+    columns: dict[str, Any] = {}
+    remarks = [f"left out: {name!r} holds no numbers" for name in schema.names if name not in read]
+    for name in read:
+        column = table.column(name)
+        if not _is_list(column.type):
+            columns[name] = column.to_numpy()
+            continue
+        matrix = _matrix(column)
+        if matrix is None:
+            remarks.append(f"left out: {name!r} holds lists of unequal or great length")
+        else:
+            columns |= {f"{name}[{k}]" if matrix.shape[1] > 1 else name: values for k, values in enumerate(matrix.T)}
+    names, period_s = declared_names(path)
+    source = source_of_arrays(path, columns, tuple(remarks), period_s)
+    return with_joints(source, names)
+
+
+def _is_list(kind: Any) -> bool:
+    from pyarrow import types
+
+    return bool(types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind))
+
+
+def _holds_no_numbers(kind: Any) -> bool:
+    """Of a nested type, and of bytes: pictures."""
+    from pyarrow import types
+
+    plain = kind.value_type if _is_list(kind) else kind
+    if plain is not kind and not (types.is_integer(plain) or types.is_floating(plain) or types.is_boolean(plain)):
+        return True
+    return bool(types.is_nested(plain) or types.is_binary(plain) or types.is_large_binary(plain))
+
+
+def _matrix(column: Any) -> Any:
+    """Lists of one length as numbers (rows, length); None for others."""
+    from pyarrow import compute
+
+    whole = column.combine_chunks()
+    lengths = compute.unique(compute.list_value_length(whole)).to_pylist()
+    if len(lengths) != 1 or lengths[0] is None or not 0 < lengths[0] <= LONGEST_LIST:
+        return None
+    return compute.list_flatten(whole).to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, lengths[0])
 
 
 def _check_size(path: Path, size_bytes: int) -> None:

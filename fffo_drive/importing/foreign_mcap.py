@@ -15,6 +15,7 @@ from ..recording.errors import RecordingError
 from ..recording.scan import HEAD_SIZE, DamagedRecordError, Scanner, parse, record_data, segments
 from ..units import NS_PER_S
 from .evidence import at_stamps
+from .joints import with_joints
 from .names import measured_wrap
 from .source import Source, source_of_arrays
 from .units import split_name
@@ -177,7 +178,8 @@ def _numbers(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, float
                 and len(inner) == len(joints)
                 and key.lstrip("_") != "name"
             ):
-                yield from ((f"{joint}.{label}", float(number)) for joint, number in zip(joints, inner, strict=True))
+                named = (f"{joint}.{label}" if len(joints) == 1 else f"{label}[{joint}]" for joint in joints)
+                yield from ((one, float(number)) for one, number in zip(named, inner, strict=True))
             else:
                 yield from _numbers(label, inner, depth + 1)
     elif hasattr(value, "__len__") and len(value) <= LARGEST_ARRAY:
@@ -215,4 +217,4 @@ def _joined(path: Path, topics: dict[str, list[tuple[int, dict[str, float]]]], r
             columns[label + name] = values
         if topic != fullest:
             remarks.append(f"{topic} is interpolated to the stamps of {fullest}")
-    return source_of_arrays(path, columns, tuple(remarks))
+    return with_joints(source_of_arrays(path, columns, tuple(remarks)))

@@ -53,6 +53,9 @@ class Source:
     run: int = 0  # of several in one file, from 1; 0: the only one
     roles: dict[str, str] = field(default_factory=dict)  # signal -> column, where the file itself says which is which
     doubts: dict[str, str] = field(default_factory=dict)  # column -> why its scale is an assumption
+    joints: dict[str, dict[str, str]] = field(default_factory=dict)  # joint -> its columns -> their names without it
+    joint: str = ""  # that was chosen
+    of_dataset: bool = False  # one of many that have one meaning
 
     @property
     def rows(self) -> int:
@@ -62,7 +65,8 @@ class Source:
     @property
     def said(self) -> str:
         """The file, with the run where it holds several."""
-        return f"{self.path}, run {self.run}" if self.run else str(self.path)
+        joint = f", {self.joint}" if self.joint else ""
+        return f"{self.path}{joint}, run {self.run}" if self.run else f"{self.path}{joint}"
 
     def part(self, rows: slice, run: int) -> Source:
         """Some of the rows, as a run."""

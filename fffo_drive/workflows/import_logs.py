@@ -17,6 +17,7 @@ from ..identification.dataset import DataError, distinct_names, load_record, one
 from ..identification.facts import DriveFacts
 from ..importing.candidates import RECOGNISED, Guess, Hints, Recognition
 from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
+from ..importing.joints import chosen, dataset_files, episodes_of
 from ..importing.read import read_source
 from ..importing.recognise import recognise
 from ..importing.source import Source
@@ -83,17 +84,22 @@ def _recognised_runs(runs: Sequence[Source], hints: Hints) -> list[RecognisedLog
     first = recognised(longest, hints)
     if len(runs) == 1:
         return [first]
-    roles = dict.fromkeys(RECOGNISED, "") | {guess.signal: guess.column for guess in first.found.guesses}
-    place = first.found.of("position_rev")
-    known = replace(
+    known = _meaning_of(first.found, hints)
+    return [first if run is longest else _as_unsure(recognised(run, known), first.found) for run in runs]
+
+
+def _meaning_of(found: Recognition, hints: Hints) -> Hints:
+    """What was recognised in one run, for the others."""
+    roles = dict.fromkeys(RECOGNISED, "") | {guess.signal: guess.column for guess in found.guesses}
+    place = found.of("position_rev")
+    return replace(
         hints,
         roles={**roles, **hints.roles},
-        units={g.column: g.unit for g in first.found.guesses if g.unit in UNITS} | dict(hints.units),
-        rate_hz=hints.rate_hz or (1.0 / first.found.period_s if first.found.period_s else None),
+        units={g.column: g.unit for g in found.guesses if g.unit in UNITS} | dict(hints.units),
+        rate_hz=hints.rate_hz or (1.0 / found.period_s if found.period_s else None),
         counts_per_turn=1.0 / abs(place.factor) if place and place.unit == "counts" else hints.counts_per_turn,
-        linear=first.found.linear,
+        linear=found.linear,
     )
-    return [first if run is longest else _as_unsure(recognised(run, known), first.found) for run in runs]
 
 
 def _as_unsure(one: RecognisedLog, first: Recognition) -> RecognisedLog:
@@ -114,10 +120,45 @@ def recognised_logs(
     Raises RecordingError that names the file and the option to give, DocumentError for columns of the map that a log
     does not have.
     """
-    sources = [read_source(Path(path), hints.drive) for path in paths]
-    if map_file is not None:
-        refuse(map_file, [problem for source in sources for problem in _not_in(source, hints, read_map(map_file))])
-    return [one for source in sources for one in _recognised_runs(runs_of(source, hints), hints)]
+    read = [source for path in paths for source in _read(Path(path), hints)]
+    found: list[RecognisedLog] = []
+    for sources in chosen(read, hints.joint).values():
+        if map_file is not None:
+            refuse(map_file, [problem for source in sources for problem in _not_in(source, hints, read_map(map_file))])
+        whole = [source for source in sources if not source.of_dataset]
+        found += [one for source in whole for one in _recognised_runs(runs_of(source, hints), hints)]
+        episodes = [source for source in sources if source.of_dataset]
+        found += _recognised_episodes(episodes, hints) if episodes else []
+    return found
+
+
+def _read(path: Path, hints: Hints) -> list[Source]:
+    """A log; the episodes of a LeRobot dataset, or of one of its files."""
+    if not path.is_dir():
+        source = read_source(path, hints.drive)
+        parts = episodes_of(source)
+        return [replace(part, of_dataset=True) for part in parts] if len(parts) > 1 else parts
+    files = dataset_files(path)
+    return [replace(part, of_dataset=True) for file in files for part in episodes_of(read_source(file, hints.drive))]
+
+
+def _recognised_episodes(episodes: Sequence[Source], hints: Hints) -> list[RecognisedLog]:
+    """The episodes of one joint, which have one meaning; one in which it does not move is left out and named."""
+    longest = max(episodes, key=lambda run: run.rows)
+    first = recognised(longest, hints)
+    known = _meaning_of(first.found, hints)
+    found: list[RecognisedLog] = []
+    left: list[str] = []
+    for one in episodes:
+        try:
+            found.append(first if one is longest else _as_unsure(recognised(one, known), first.found))
+        except RecordingError as error:
+            left.append(str(error))
+    if left:
+        told = f"{len(left)} of {len(episodes)} episodes are left out, the first: {left[0]}"
+        head = found[0]
+        found[0] = head._replace(log=head.log._replace(remarks=(*head.log.remarks, told)))
+    return found
 
 
 def _not_in(source: Source, hints: Hints, mapping: ImportMap) -> list[tuple[str, str]]:
@@ -209,7 +250,8 @@ def _draw_columns(path: Path, one: RecognisedLog) -> None:
 def _plain_name(source: Source) -> Path:
     """The path without the extensions of the file type, with the number of the run where the file holds several."""
     path = source.path.with_suffix("") if source.path.suffix.lower() in OTHER_SUFFIXES else source.path
-    return path if not source.run else path.with_name(f"{short_name(path)}_run{source.run}")
+    parts = [short_name(path), source.joint, "" if not source.run else f"run{source.run}"]
+    return path.with_name("_".join(filter(None, parts)).replace("/", "."))
 
 
 def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str, Any]:
