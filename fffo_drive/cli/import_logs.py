@@ -245,11 +245,9 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
         known_units(units),
     )  # fmt: skip
     declared = dict(mapping.facts)
-    drive = trace_drive(
-        options.eds, options.node, dict(zip(SCALES, (
-            hints.counts_per_turn, options.velocity_units, options.rated_torque, options.rated_current,
-        ), strict=True)), options.torque_constant or mapping.facts.get("torque_constant_nm_per_a"),
-    )  # fmt: skip
+    own = (hints.counts_per_turn, options.velocity_units, options.rated_torque, options.rated_current)
+    constant = options.torque_constant or declared.get("torque_constant_nm_per_a")
+    drive = trace_drive(options.eds, options.node, dict(zip(SCALES, own, strict=True)), constant)
     hints = replace(hints, drive=drive, joint=options.joint)
     if drive.torque_constant_nm_per_a is not None:
         declared["torque_constant_nm_per_a"] = drive.torque_constant_nm_per_a

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import datetime
 import io
+import logging
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,18 +57,15 @@ class Frames(NamedTuple):
     def of(self, chosen: npt.NDArray[Any]) -> Frames:
         """Some of them."""
         return self._replace(
-            stamps_s=None if self.stamps_s is None else self.stamps_s[chosen], ids=self.ids[chosen],
-            lengths=self.lengths[chosen], data=self.data[chosen], channels=self.channels[chosen],
-        )  # fmt: skip
+            stamps_s=None if self.stamps_s is None else self.stamps_s[chosen],
+            ids=self.ids[chosen],
+            lengths=self.lengths[chosen],
+            data=self.data[chosen],
+            channels=self.channels[chosen],
+        )
 
 
-class _Taken(NamedTuple):
-    """One frame as it was read."""
-
-    stamp_s: float | None
-    can_id: int
-    data: bytes
-    channel: str
+_Taken = tuple[float, int, bytes, str]  # stamp (NaN: none), identifier, data, channel
 
 
 def trace_kind(begin: bytes) -> str | None:
@@ -84,33 +83,40 @@ def read_frames(path: Path, kind: str) -> Frames:
     taken: list[_Taken] = []
     remarks: list[str] = []
     others = 0
+    logger = logging.getLogger("can.io")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)  # what is damaged is counted here
     try:
         for frame in _candump(table_text(path)) if kind == "candump" else _by_library(path, kind):
-            if frame is None:
-                others += 1
+            if isinstance(frame, int):
+                others += frame
             else:
                 taken.append(frame)
     except RecordingError:
         raise
-    except Exception as error:  # python-can's readers raise whatever a damaged line leads them to
+    except Exception as error:  # python-can's readers raise whatever a damaged file leads them to
+        why = f"{type(error).__name__}: {error}".removesuffix(": ")
         if not taken:
-            raise RecordingError(f"{path}: a trace of a CAN bus ({kind}) that cannot be read: {error}") from error
-        remarks.append(f"the trace is damaged after {len(taken)} frames ({error}): read up to there")
+            raise RecordingError(f"{path}: a trace of a CAN bus ({kind}) that cannot be read: {why}") from error
+        remarks.append(f"the trace is damaged after {len(taken)} frames ({why}): read up to there")
+    finally:
+        logger.setLevel(level)
     if not taken:
         raise RecordingError(f"{path}: a trace of a CAN bus ({kind}) without a data frame of an 11-bit identifier")
     if others:
-        remarks.append(f"left out: {others} frames that are damaged, or no data frames with an 11-bit identifier")
-    stamps = np.array([np.nan if one.stamp_s is None else one.stamp_s for one in taken])
-    stamped = bool(np.isfinite(stamps).all())
-    names = tuple(dict.fromkeys(one.channel for one in taken))
+        remarks.append(
+            f"left out: {others} lines or frames that are damaged, or no data frames with an 11-bit identifier"
+        )
+    stamps, ids, data, channels = zip(*taken, strict=True)
+    names = tuple(dict.fromkeys(channels))
     numbers = {name: k for k, name in enumerate(names)}
-    padded = b"".join(one.data.ljust(MAX_DATA, b"\0") for one in taken)
+    stamps_s = np.array(stamps)
     return Frames(
-        _since_begin(stamps) if stamped else None,
-        np.array([one.can_id for one in taken], np.int64),
-        np.array([len(one.data) for one in taken], np.int64),
-        np.frombuffer(padded, np.uint8).reshape(-1, MAX_DATA),
-        np.array([numbers[one.channel] for one in taken], np.int64),
+        _since_begin(stamps_s) if np.isfinite(stamps_s).all() else None,
+        np.array(ids, np.int64),
+        np.fromiter(map(len, data), np.int64, len(data)),
+        np.frombuffer(b"".join([one.ljust(MAX_DATA, b"\0") for one in data]), np.uint8).reshape(-1, MAX_DATA),
+        np.fromiter(map(numbers.__getitem__, channels), np.int64, len(data)),
         names,
         tuple(remarks),
     )
@@ -123,30 +129,37 @@ def _since_begin(stamps: Floats) -> Floats:
     return np.asarray(stamps - stamps[0])
 
 
-def _candump(text: str) -> Iterator[_Taken | None]:
+def _candump(text: str) -> Iterator[_Taken | int]:
+    """Frames; how many lines are none that is wanted."""
+    lines = sum(1 for line in text.splitlines() if line.strip())
     for found in _CANDUMP.finditer(text):
-        digits = found["logged"] if found["logged"] is not None else found["printed"]
-        if digits is None or len(found["id"]) > 3:
-            yield None
+        stamp, channel, can_id, logged, printed = found.groups()
+        digits = printed if logged is None else logged
+        if len(can_id) > 3 or digits is None:
             continue
-        data = bytes.fromhex(digits) if len(digits.replace(" ", "")) % 2 == 0 else b""
-        yield _Taken(_stamp_s(found["stamp"]), int(found["id"], 16), data[:MAX_DATA], found["channel"])
+        try:
+            data = bytes.fromhex(digits)
+        except ValueError:
+            continue
+        lines -= 1
+        yield _stamp_s(stamp), int(can_id, 16), data[:MAX_DATA], channel
+    yield lines
 
 
-def _stamp_s(text: str | None) -> float | None:
+def _stamp_s(text: str | None) -> float:
     """A stamp of candump: seconds, or a date with the time of day."""
     if text is None:
-        return None
+        return math.nan
     try:
         return float(text)
     except ValueError:
         try:
             return datetime.datetime.fromisoformat(text.strip()).replace(tzinfo=datetime.UTC).timestamp()
         except ValueError:
-            return None
+            return math.nan
 
 
-def _by_library(path: Path, kind: str) -> Iterator[_Taken | None]:
+def _by_library(path: Path, kind: str) -> Iterator[_Taken | int]:
     from can.io import ASCReader, BLFReader, CSVReader, TRCReader
 
     if kind == "BLF":
@@ -161,10 +174,10 @@ def _by_library(path: Path, kind: str) -> Iterator[_Taken | None]:
         try:
             for message in reader:
                 if message.is_extended_id or message.is_error_frame or message.is_remote_frame or message.is_fd:
-                    yield None
+                    yield 1
                 elif message.arbitration_id <= STANDARD_MASK:
                     channel = "" if message.channel is None else str(message.channel)
-                    yield _Taken(message.timestamp, message.arbitration_id, bytes(message.data), channel)
+                    yield message.timestamp, message.arbitration_id, bytes(message.data), channel
             return
         except Exception as error:  # whatever a damaged line leads the readers to; a text goes on with the next one
             wrong += 1
@@ -175,4 +188,4 @@ def _by_library(path: Path, kind: str) -> Iterator[_Taken | None]:
                     f"{path}: a trace of a CAN bus ({kind}) with more than {MOST_DAMAGED} lines that cannot be read: "
                     f"{error}"
                 ) from error
-            yield None
+            yield 1

@@ -55,9 +55,9 @@ class Stretch(NamedTuple):
 def nodes_of(frames: Frames) -> list[tuple[int, int]]:
     """(channel, node id) of the nodes that send TPDOs, of those that also send a heartbeat or SDO where some do."""
     found: dict[tuple[int, int], set[int]] = {}
-    keys = np.unique(np.stack([frames.channels, frames.ids & ~NODE_MASK, frames.ids & NODE_MASK]), axis=1).T
-    for channel, function, node in keys.tolist():
-        found.setdefault((channel, node), set()).add(function)
+    for key in np.unique(frames.channels << 11 | frames.ids).tolist():
+        can_id = key & can.STANDARD_MASK
+        found.setdefault((key >> 11, can_id & NODE_MASK), set()).add(can_id & ~NODE_MASK)
     tpdos = {can.TPDO1, can.TPDO2, can.TPDO3, can.TPDO3 + 0x100}
     sending = {key for key, functions in found.items() if key[1] and functions & tpdos}
     alive = {key for key in sending if found[key] & {can.HEARTBEAT, can.SDO_RESPONSE}}

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..can.frame import NODE_IDS, STANDARD_MASK, SYNC, TPDO1
+from ..can.frame import NODE_IDS, RPDO1, RPDO2, STANDARD_MASK, SYNC, TPDO1
 from ..drive.canopen.eds import read_eds
 from ..drive.canopen.eds_tidy import SIGNED_BITS
 from ..drive.canopen.object_map import (
@@ -46,22 +46,37 @@ TARGET_POSITION, TARGET_VELOCITY = 0x607A, 0x60FF
 POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = 0x6062, 0x606B, 0x6074
 COUNTS, SPEED, TORQUES, CURRENTS = "counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_current_a"
 OBJECTS = {  # of CiA 402: name as there, the key that scales it
-    POSITION: ("position actual value", COUNTS), VELOCITY: ("velocity actual value", SPEED),
-    TORQUE: ("torque actual value", TORQUES), CURRENT: ("current actual value", CURRENTS),
-    TARGET_TORQUE: ("target torque", TORQUES), TORQUE_OFFSET: ("torque offset", TORQUES),
-    TORQUE_DEMAND: ("torque demand", TORQUES), TARGET_POSITION: ("target position", COUNTS),
-    POSITION_DEMAND: ("position demand value", COUNTS), TARGET_VELOCITY: ("target velocity", SPEED),
+    POSITION: ("position actual value", COUNTS),
+    VELOCITY: ("velocity actual value", SPEED),
+    TORQUE: ("torque actual value", TORQUES),
+    CURRENT: ("current actual value", CURRENTS),
+    TARGET_TORQUE: ("target torque", TORQUES),
+    TORQUE_OFFSET: ("torque offset", TORQUES),
+    TORQUE_DEMAND: ("torque demand", TORQUES),
+    TARGET_POSITION: ("target position", COUNTS),
+    POSITION_DEMAND: ("position demand value", COUNTS),
+    TARGET_VELOCITY: ("target velocity", SPEED),
     VELOCITY_DEMAND: ("velocity demand value", SPEED),
-}  # fmt: skip
+}
 ROLES = {  # signal -> the objects that may be it, the best first
-    POSITION_REV: (POSITION,), VELOCITY_RPS: (VELOCITY,), COMMAND_A: (TARGET_TORQUE, TORQUE_DEMAND),
-    CURRENT_A: (TORQUE, CURRENT), REFERENCE_RPS: (VELOCITY_DEMAND, TARGET_VELOCITY),
+    POSITION_REV: (POSITION,),
+    VELOCITY_RPS: (VELOCITY,),
+    COMMAND_A: (TARGET_TORQUE, TORQUE_DEMAND),
+    CURRENT_A: (TORQUE, CURRENT),
+    REFERENCE_RPS: (VELOCITY_DEMAND, TARGET_VELOCITY),
     SETPOINT_REV: (POSITION_DEMAND, TARGET_POSITION),
-}  # fmt: skip
+}
 WORDS = (CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY)  # no quantities
 OPTIONS = {
-    COUNTS: "--counts-per-turn", SPEED: "--velocity-units", TORQUES: "--rated-torque", CURRENTS: "--rated-current",
-}  # fmt: skip
+    COUNTS: "--counts-per-turn",
+    SPEED: "--velocity-units",
+    TORQUES: "--rated-torque",
+    CURRENTS: "--rated-current",
+}
+SPACING, PREDEFINED = (
+    RPDO2 - RPDO1,
+    range(4),
+)  # of the predefined connection set (CiA 301, 7.3.3): PDOs of each direction
 ENABLED_MASK, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
 FLOAT32 = 0x08  # data type (CiA 301, 7.4.7)
 FITTING = 0.99  # of the frames of a PDO that must have the length of its mapping, or be alone in their SYNC interval
@@ -160,7 +175,7 @@ class _Reader:
 
     def __init__(
         self, path: Path, kind: str, drive: TraceDrive, frames: Frames, trace: Stretch, node: int, dictionary: Any
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.path, self.kind, self.drive, self.frames, self.trace = path, kind, drive, frames, trace
         self.node, self.dictionary = node, dictionary
         self.remarks = list(frames.remarks)
@@ -225,7 +240,8 @@ class _Reader:
         shown = any(0x1A00 <= index < 0x1C00 for index, _ in self.trace.values)
         if self.dictionary is not None or shown:
             said = " and ".join(filter(None, ["the trace" if shown else "", str(self.drive.eds or "")]))
-            able.append((said, *pdos_of(_Objects(self.trace, self.dictionary, True).value)))
+            rpdos, tpdos = pdos_of(_Objects(self.trace, self.dictionary, True).value)
+            able.append((said, self._of_this_node(rpdos, RPDO1), self._of_this_node(tpdos, TPDO1)))
         if self.drive.config is not None:
             own = replace(self.drive.config, node_id=self.node, master_id=127 if self.node != 127 else 126)
             able.append((self.drive.said or "the profile", [own.command], list(own.answers)))
@@ -248,6 +264,15 @@ class _Reader:
             f"{self.path}: the frames of node {self.node} are not mapped as described; {'. '.join(problems)}. Give the "
             "DCF or the axis file by which the drive was set, or a trace that begins before it is set by SDO"
         )
+
+    def _of_this_node(self, pdos: list[PdoMap], first: int) -> list[PdoMap]:
+        """PDOs under the identifiers that the trace has: a file may be of another node (0x1A0 where it is 0x185)."""
+        found = []
+        for pdo in pdos:
+            usual = first + SPACING * (pdo.number - 1) + self.node
+            told = (self.frames.ids == pdo.cob_id).any() or pdo.number > len(PREDEFINED)
+            found.append(pdo if told or not (self.frames.ids == usual).any() else pdo._replace(cob_id=usual))
+        return found
 
     def _misfits(self, pdos: list[PdoMap], kind: str) -> Iterator[str]:
         for pdo in pdos:
@@ -348,9 +373,13 @@ class _Reader:
         return [whole if item is target else item for item in items if item is not offset]
 
     def _trimmed(
-        self, rows: Ints, columns: dict[str, Floats], units: dict[str, str], doubts: dict[str, str],
+        self,
+        rows: Ints,
+        columns: dict[str, Floats],
+        units: dict[str, str],
+        doubts: dict[str, str],
         roles: dict[str, str],
-    ) -> Source:  # fmt: skip
+    ) -> Source:
         """The rows in which everything is known that a recording has."""
         whole = np.logical_and.reduce([np.isfinite(columns[name]) for name in roles.values()])
         inside = np.flatnonzero(whole)

@@ -29,7 +29,19 @@ MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
 COLUMNS_NAME = "columns.png"
 MOST_LEFT_OUT = 0.01  # of the rows of a run, without --drop
-OTHER_SUFFIXES = {".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc"}
+OTHER_SUFFIXES = {
+    ".json",
+    ".npz",
+    ".npy",
+    ".parquet",
+    ".pq",
+    ".feather",
+    ".log",
+    ".dat",
+    ".asc",
+    ".blf",
+    ".trc",
+}
 
 
 class ImportMap(StrictRecord):

@@ -23,9 +23,11 @@ SCALES = ("counts_per_rev", "velocity_units_per_rps", "rated_torque_nm", "rated_
 
 
 def trace_drive(
-    files: Sequence[str | Path] = (), node: str | None = None, scales: Mapping[str, float | None] | None = None,
+    files: Sequence[str | Path] = (),
+    node: str | None = None,
+    scales: Mapping[str, float | None] | None = None,
     torque_constant_nm_per_a: float | None = None,
-) -> TraceDrive:  # fmt: skip
+) -> TraceDrive:
     """What is said of it. `files`: EDS or DCF, drive profile (a file, or the name of one that is supplied),
     axis file; `scales`: keys of SCALES.
 

@@ -209,6 +209,17 @@ def test_a_mapping_that_the_frames_do_not_have_is_refused(tmp_path, rig, eds):
         read_source(path, axis)
 
 
+def test_a_file_of_another_node_maps_this_one(tmp_path, rig, eds):
+    """Vendors' files have identifiers of one node in place of $NODEID."""
+    text = eds.read_text()
+    at = text.index("[1800sub1]")
+    eds.write_text(text[:at] + text[at:].replace("$NODEID+0x40000180", "0x400001A0", 1))
+    eds.write_text(eds.read_text().replace("$NODEID+0x180", "0x1A0"))
+    wire = [m for m in rig.wire if not (m.arbitration_id == 0x601 and m.data[1:4] == b"\x00\x18\x01")]
+    source = read_source(written(tmp_path / "trace.log", wire), trace_drive([eds]))
+    assert source.rows > CYCLES - 10
+
+
 # Literal frames
 
 
@@ -339,8 +350,14 @@ def test_a_counter_of_32_bits_goes_on_past_its_end(tmp_path, monkeypatch):
 def test_values_that_come_by_themselves_keep_their_stamps(tmp_path):
     """Events, no SYNC: position and velocity each at its own time; the command is held."""
     lines = [(0.0, line) for line in tpdo1(1, 0x60640020, kind=255)]
-    for step in [(0x1801, 1, 0x281, 4), (0x1A01, 0, 1, 1), (0x1A01, 1, 0x606C0020, 4), (0x1400, 1, 0x201, 4),
-                 (0x1600, 0, 1, 1), (0x1600, 1, 0x60710010, 4)]:  # fmt: skip
+    for step in [
+        (0x1801, 1, 0x281, 4),
+        (0x1A01, 0, 1, 1),
+        (0x1A01, 1, 0x606C0020, 4),
+        (0x1400, 1, 0x201, 4),
+        (0x1600, 0, 1, 1),
+        (0x1600, 1, 0x60710010, 4),
+    ]:
         lines += [(0.0, line) for line in sdo(1, *step)]
     for k in range(200):
         t = 0.1 + 0.01 * k
@@ -349,8 +366,10 @@ def test_values_that_come_by_themselves_keep_their_stamps(tmp_path):
         if k % 10 == 0:
             lines.append((t + 0.006, f"201#{struct.pack('<h', k + 1).hex()}"))
     source = read_source(log(tmp_path / "a.log", lines))
-    position, speed, command = (source.columns[name] for name in (
-        "position actual value 0x6064", "velocity actual value 0x606C", "target torque 0x6071"))  # fmt: skip
+    position, speed, command = (
+        source.columns[name]
+        for name in ("position actual value 0x6064", "velocity actual value 0x606C", "target torque 0x6071")
+    )
     np.testing.assert_allclose(
         speed, 10.0 * position - 500.0, atol=0.05
     )  # half a step later; stamps since 1970 have 0.24 us
@@ -363,7 +382,7 @@ def test_values_that_come_by_themselves_keep_their_stamps(tmp_path):
     [("({:.6f}) ", True), ("", False), ("date", True), ("delta", True)],
 )
 def test_stamps_of_candump(tmp_path, rig, stamp, told):
-    wire = [message(t, f) for t, f in run([1])]  # fmt: skip
+    wire = [message(t, f) for t, f in run([1])]
     path = tmp_path / "a.txt"
     if stamp == "date":
         printed(path, wire)
@@ -371,10 +390,12 @@ def test_stamps_of_candump(tmp_path, rig, stamp, told):
         import datetime as dt
 
         lines = [
-            line.replace(line[line.index("(") : line.index(")") + 1],
-                         dt.datetime.fromtimestamp(m.timestamp, dt.UTC).strftime("(%Y-%m-%d %H:%M:%S.%f)"))
+            line.replace(
+                line[line.index("(") : line.index(")") + 1],
+                dt.datetime.fromtimestamp(m.timestamp, dt.UTC).strftime("(%Y-%m-%d %H:%M:%S.%f)"),
+            )
             for line, m in zip(text.splitlines(), wire, strict=True)
-        ]  # fmt: skip
+        ]
         path.write_text("\n".join(lines) + "\n")
     elif stamp == "delta":
         last = wire[0].timestamp
@@ -395,8 +416,7 @@ def test_stamps_of_candump(tmp_path, rig, stamp, told):
 
 
 def test_a_damaged_line_costs_itself(tmp_path):
-    path = written(tmp_path / "trace.csv", [
-        message(t, f) for t, f in run([1])])  # fmt: skip
+    path = written(tmp_path / "trace.csv", [message(t, f) for t, f in run([1])])
     lines = path.read_text().splitlines()
     lines[300] = "1793,xx,0"
     path.write_text("\n".join(lines))
@@ -407,8 +427,7 @@ def test_a_damaged_line_costs_itself(tmp_path):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_trace_that_was_cut_is_read_as_far_as_it_goes(tmp_path, suffix):
-    path = written(tmp_path / f"trace.{suffix}", [
-        message(t, f) for t, f in run([1])])  # fmt: skip
+    path = written(tmp_path / f"trace.{suffix}", [message(t, f) for t, f in run([1])])
     data = path.read_bytes()
     path.write_bytes(data[: int(0.8 * len(data))])
     assert 250 < read_source(path).rows < ROWS.size
@@ -419,7 +438,7 @@ def test_what_is_no_data_frame_is_left_out_and_counted(tmp_path):
     odd = [(0.5, "18FF0181#0102"), (0.6, "20000088#0000000000000000"), (0.7, "181#R"), (0.8, "123##00102")]
     source = read_source(log(tmp_path / "a.log", lines + odd))
     assert source.rows == ROWS.size
-    assert "left out: 2 frames" in source.remarks[0]
+    assert "left out: 4 lines or frames" in source.remarks[0]
 
 
 def test_a_trace_compressed_is_one(tmp_path):

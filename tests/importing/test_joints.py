@@ -284,9 +284,10 @@ def test_arrays_of_a_message_by_their_number(tmp_path):
         channel = writer.register_channel("/state", "json", schema)
         for k, t in enumerate(LOG.time_s):
             message = {
-                "qpos": parts["observation.state"][k].tolist(), "qvel": parts["observation.velocity"][k].tolist(),
+                "qpos": parts["observation.state"][k].tolist(),
+                "qvel": parts["observation.velocity"][k].tolist(),
                 "motors": [{"torque": value} for value in parts["observation.effort"][k].tolist()],
-            }  # fmt: skip
+            }
             writer.add_message(channel, round(t * 1e9), json.dumps(message).encode(), 0)
         writer.finish()
     (one,) = recognised_logs([path], Hints(joint="1"))
