@@ -6,6 +6,7 @@ program with the drive's profile or axis file. Nothing is decoded whose frames h
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from ..arrays import Floats
 from ..can.frame import NODE_IDS, RPDO1, RPDO2, STANDARD_MASK, SYNC, TPDO1
 from ..drive.canopen.eds import read_eds
-from ..drive.canopen.eds_tidy import SIGNED_BITS
+from ..drive.canopen.eds_tidy import SIGNED_BITS, decode
 from ..drive.canopen.object_map import (
     CONTROLWORD,
     CURRENT,
@@ -78,6 +79,7 @@ SPACING, PREDEFINED = (
     range(4),
 )  # of the predefined connection set (CiA 301, 7.3.3): PDOs of each direction
 ENABLED_MASK, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
+_NODE_ID = re.compile(r"^\s*NodeID\s*=\s*(0x[0-9a-f]+|\d+)", re.IGNORECASE | re.MULTILINE)
 FLOAT32 = 0x08  # data type (CiA 301, 7.4.7)
 FITTING = 0.99  # of the frames of a PDO that must have the length of its mapping, or be alone in their SYNC interval
 MISSING = (
@@ -159,8 +161,8 @@ def _node(path: Path, kind: str, frames: Frames, drive: TraceDrive) -> tuple[int
         there = [k for k in there if k[1] == int(number) and channel in ("", frames.channel_names[k[0]])]
         if not there:
             raise RecordingError(f"{path}: --node {drive.node}: {listed}")
-    if len(there) > 1 and drive.config is not None and drive.node is None:
-        there = [k for k in there if k[1] == drive.config.node_id] or there
+    if len(there) > 1 and drive.node is None:
+        there = [k for k in there if k[1] == _described_node(drive)] or there
     if not there:
         raise RecordingError(f"{path}: a trace of a CAN bus ({kind}): {listed}")
     if len(there) > 1:
@@ -168,6 +170,13 @@ def _node(path: Path, kind: str, frames: Frames, drive: TraceDrive) -> tuple[int
             f"{path}: a trace of a CAN bus ({kind}); {listed}: say which with --node, such as --node {told[0]}"
         )
     return there[0]
+
+
+def _described_node(drive: TraceDrive) -> int | None:
+    """The node id in a DCF (CiA 306, DeviceComissioning), or in an axis file."""
+    text = decode(drive.eds.read_bytes())[0] if drive.eds is not None and drive.eds.is_file() else ""
+    found = _NODE_ID.search(text)
+    return drive.node_of_axis if found is None else int(found[1], 0)
 
 
 class _Reader:

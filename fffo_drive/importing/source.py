@@ -29,6 +29,7 @@ class TraceDrive:
     eds: Path | None = None  # EDS or DCF
     config: CanopenDriveConfig | None = None  # of a profile or an axis file: PDOs, objects, signs
     said: str = ""  # where that is from
+    node_of_axis: int | None = None  # as an axis file has it, where several are in the trace
     keys: Mapping[str, Any] = field(default_factory=dict)  # scales of this drive, as in a drive section
     profile_keys: Mapping[str, Any] = field(default_factory=dict)  # likewise, of its family
     profile_named: bool = False  # by the user; else by the vendor's number in the EDS

@@ -67,7 +67,8 @@ def _of_yaml(path: Path) -> dict[str, Any]:
     constant = model_of(path, axis).torque_constant_nm_per_a
     config = axis.drive.drive_config(constant, NS_PER_S // axis.loop.rate_hz)
     keys = {key: getattr(config, key) for key in SCALES}
-    return {"config": config, "said": str(path), "keys": keys, "torque_constant_nm_per_a": constant}
+    own = {"config": config, "said": str(path), "node_of_axis": config.node_id}
+    return {**own, "keys": keys, "torque_constant_nm_per_a": constant}
 
 
 def _of_profile(profile: DriveProfile, said: str) -> dict[str, Any]:

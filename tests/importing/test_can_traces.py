@@ -290,6 +290,48 @@ def test_of_several_nodes_one_is_asked_for(tmp_path):
             read_source(path, TraceDrive(node=wrong))
 
 
+def test_an_axis_file_or_a_dcf_names_its_node(tmp_path, eds):
+    path = log(tmp_path / "a.log", run([1, 5]))
+    eds.write_text(eds.read_text() + "\n[DeviceComissioning]\nNodeID=0x05\n")
+    assert "node 5" in " ".join(read_source(path, trace_drive([eds])).remarks)
+    assert "node 1" in " ".join(read_source(path, trace_drive([EXAMPLES / "axis_canopen.yaml"])).remarks)
+    with pytest.raises(NodeNeededError):
+        read_source(path, trace_drive(["maxon_epos4"], scales={"rated_torque_nm": 1.0}))
+
+
+def commanded(values: dict[int, np.ndarray]) -> list[tuple[float, str]]:
+    """Motion of node 1, and RPDO1 or TPDO2 with an object of 16 bits each, before the next SYNC."""
+    lines = [(0.0, line) for line in tpdo1(1, *MOTION)]
+    received = [index for index in values if index in (0x6071, 0x60B2)]
+    sent = [index for index in values if index not in received]
+    for parameters, cob_id, indices in ((0x1400, 0x201, received), (0x1801, 0x281, sent)):
+        steps = [(parameters, 1, cob_id, 4), (parameters, 2, 1, 1), (parameters + 0x200, 0, len(indices), 1)]
+        steps += [(parameters + 0x200, k, index << 16 | 16, 4) for k, index in enumerate(indices, 1)]
+        lines += [(0.0, line) for step in steps if indices for line in sdo(1, *step)]
+    for k in ROWS:
+        lines += [(0.01 * k + 0.01, "080#"), (0.01 * k + 0.011, pdo(1, k))]
+        for cob_id, indices in ((0x281, sent), (0x201, received)):
+            if indices:
+                data = struct.pack(f"<{len(indices)}h", *(int(values[index][k]) for index in indices))
+                lines.append((0.01 * k + 0.012, f"{cob_id:03X}#{data.hex()}"))
+    return lines
+
+
+def test_a_torque_offset_is_added_to_the_target(tmp_path):
+    wire = commanded({0x6071: 100 + ROWS, 0x60B2: 7 * (ROWS % 5)})
+    source = read_source(log(tmp_path / "a.log", wire))
+    np.testing.assert_array_equal(source.columns["target torque 0x6071"], 100 + ROWS + 7 * (ROWS % 5))
+    assert any("0x60B2" in remark for remark in source.remarks)
+
+
+def test_a_target_that_nobody_sets_is_no_command(tmp_path):
+    """A drive in a mode of position: what its own loop asks for (0x6074) is the command."""
+    wire = commanded({0x6071: 0 * ROWS, 0x6074: 50 + ROWS, 0x6077: 40 + ROWS})
+    roles = read_source(log(tmp_path / "a.log", wire)).roles
+    assert roles["current_command_a"] == "torque demand 0x6074"
+    assert roles["current_a"] == "torque actual value 0x6077"
+
+
 def test_a_node_is_typed_at_a_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     answers = ["5", "q"]
