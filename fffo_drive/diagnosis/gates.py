@@ -12,19 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats
-from ..model.effects.law import SHAPE
+from ..model.effects.law import SHAPE, Parameter
 from ..model.effects.registry import law_of
 from .base import BASE, NAMES, delayed, models_along
 from .fitting import Data, Fitted, consistent_scenes, standard_deviations, torque_of
 from .propose import WAVE_RUNG
-from .scenes import Effect, load_along
+from .scenes import Effect, load_along, load_rows
+from .spectra import own_line
 
 NEGLIGIBLE = 0.0025  # rms share of the needed torque; a sensor leaves as much (ablation_diagnosis.md)
 INERTIA_FACTOR = 1.5  # largest factor by which an effect may change the inertia of the first rungs ...
 NEEDED_SHARE = 0.6  # ... and the smallest share of their needed torque that must remain needed
 DETERMINED_SD = 0.3  # sd of the logarithm of the inertia above which the data do not determine it
-AT_BOUND = 0.01  # share of the plausible range: a shape this near a bound is implausible ...
-BEYOND = 0.1  # ... and a strength may exceed the range by this share, for noise
+AT_BOUND = 0.01  # share of the plausible range: a number this near a bound is implausible
 SHOWN_SHARE = 0.5  # share of the current's shortfall against its command that an effect must account for
 LONGEST_SAMPLES = 20  # longest delay between command and measured current
 FINENESS = 2  # delays tried per sample
@@ -66,9 +66,6 @@ def needed_rows(data: Data, fitted: Fitted) -> Floats:
 
     An effect on the command that the measured current confirms counts as needed: there the axis does not shrink.
     """
-    models = models_along(data.stretches, fitted.physical)
-    inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
-    friction = np.concatenate([data.rows.laws.rows(model.friction_nm) for model in models])
     shown = _is_measured(data)
     laws = {effect.name: law_of(effect.name) for effect in fitted.effects}
     load = [
@@ -76,7 +73,15 @@ def needed_rows(data: Data, fitted: Fitted) -> Floats:
         if laws[effect.name].acts_on != "command" or (laws[effect.name].shown_by_current and shown)
     ]  # fmt: skip
     scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-    return np.asarray(inertia * data.rows.acceleration_rps2 + friction + torque_of(data, scenes, load))
+    return rigid_rows(data, fitted) + torque_of(data, scenes, load)
+
+
+def rigid_rows(data: Data, fitted: Fitted) -> Floats:
+    """Torque that the axis needs without its effects: J a and friction. (m,)"""
+    models = models_along(data.stretches, fitted.physical)
+    inertia = float(fitted.physical[NAMES.index("inertia_nm_s2_per_rev")])
+    friction = np.concatenate([data.rows.laws.rows(model.friction_nm) for model in models])
+    return np.asarray(inertia * data.rows.acceleration_rps2 + friction)
 
 
 def _is_measured(data: Data) -> bool:
@@ -106,7 +111,7 @@ def objection(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablat
 def implausibility(data: Data, fitted: Fitted, reference: ReferenceAxis | None, ablate: frozenset[str]) -> str:
     """Why a model is physically implausible (an implausible shape, or a shrunken axis); empty where it is not."""
     for effect in () if "shapes" in ablate else fitted.effects:
-        reason = _shape_objection(data, effect)
+        reason = _shape_objection(data, effect) or _line_objection(data, fitted, effect)
         if not reason and law_of(effect.name).joint and reference is not None and not reference.inertia_is_determined:
             reason = f"{effect.name} uses part of an inertia that the data do not determine"
         if reason:
@@ -142,18 +147,51 @@ def _shape_objection(data: Data, effect: Effect) -> str:
         return f"the data show less than one period ({period_rev:.3g} rev) of this {effect.name}"
     measured = _is_measured(data)
     for parameter in law_of(effect.name).parameters:
-        if parameter.plausible is None or parameter.name not in values:
+        if parameter.held or parameter.is_off(effect.shapes):
             continue
         if law_of(effect.name).shown_by_current and measured and parameter.kind == SHAPE:
             continue  # the measured current decides
-        low, high = parameter.plausible
-        value = values[parameter.name]
-        begin, end, place = np.log([low, high, value]) if parameter.logarithmic else (low, high, value)
-        spare = (-AT_BOUND if parameter.kind == SHAPE else BEYOND) * (end - begin)
-        if not begin - spare < place < end + spare:
-            words = f"{effect.name} with {parameter.name} {value:.3g} {parameter.unit}"
-            return f"implausible for a machine: {words} is outside {low:g} to {high:g}"
+        numbers = effect.strengths.get(parameter.name, effect.shapes.get(parameter.name))
+        outside = next(
+            (value for value in np.ravel([] if numbers is None else numbers) if _at_bound(parameter, value)), None
+        )
+        if outside is not None:
+            low, high = parameter.plausible or (parameter.low, parameter.high)
+            words = f"{effect.name} with {parameter.name} {outside:.3g} {parameter.unit}"
+            return f"implausible for a machine: {words} is not within {low:g} to {high:g}"
     return ""
+
+
+def _at_bound(parameter: Parameter, value: float) -> bool:
+    """Whether a number is beyond the range of its parameter, or at a bound of it, where a fit that wants more stops."""
+    if parameter.plausible is None:
+        return not parameter.low < value < parameter.high
+    bounds = np.array([*parameter.plausible, value])
+    low, high, place = np.log(bounds) if parameter.logarithmic else bounds
+    return not low + AT_BOUND * (high - low) < place < high - AT_BOUND * (high - low)
+
+
+def _line_objection(data: Data, fitted: Fitted, effect: Effect) -> str:
+    """An effect at one frequency, where the motion itself has a line there that the effect cannot have made.
+
+    What no model has right of the torque of that line looks like an effect at its frequency. A disturbance moves the
+    axis with its own torque, times what the loop amplifies; near a resonance the torque of a spring is that of its
+    inertia, and more.
+    """
+    values = effect.values(0)
+    frequency_hz = next((values[p.name] for p in law_of(effect.name).shapes if p.unit == "Hz"), 0.0)
+    if frequency_hz <= 0.0:
+        return ""
+    scenes = consistent_scenes(data, fitted.physical, fitted.effects)
+    width_hz = values.get("damping", 0.0) * frequency_hz
+    load_nm = load_rows(data.rows, scenes, effect)
+    line = own_line(data.rows, rigid_rows(data, fitted), load_nm, frequency_hz, width_hz)
+    if line is None:
+        return ""
+    return (
+        f"the motion itself has a line at {line.place:.4g} Hz, with {line.strength:.2g} times its torque: runs without "
+        "that frequency would decide"
+    )
 
 
 def shown_share(data: Data, fitted: Fitted, effect: Effect) -> float | None:

@@ -3,7 +3,7 @@ kind.
 
 order      amplitude of the residual over orders of the motor turn (or frequency), with the orders of effects marked
 friction   friction over velocity: measured, and modelled without and with the effect
-level      friction level over time: measured, and modelled with the effect
+level      level of friction or of the torque per ampere over time: measured, and modelled with the effect
 reversal   torque around reversals of the motion, over the time since
 transfer   torque that reaches the shaft over the commanded torque
 limit      torque that reaches the shaft over speed, where the command was large
@@ -173,28 +173,33 @@ def _friction(seen: _Seen) -> Picture:
 
 
 def _level(seen: _Seen) -> Picture:
-    rows, axis = seen.data.rows, seen.scenes[0].axis.friction
-    viscous = any(parameter.unit == "Nm/rps" for parameter in law_of(seen.effect.name).strengths)
-    speed = rows.velocity_rps
+    """A level over time by least squares in each bin: mean of torque times carrier over the mean of its square."""
+    rows, axis, law = seen.data.rows, seen.scenes[0].axis, law_of(seen.effect.name)
+    speed, friction = rows.velocity_rps, seen.scenes[0].axis.friction
+    if law.acts_on == "torque":
+        asked_a = seen.commanded_nm() / axis.torque_constant_nm_per_a
+        what, base, unit, carrier = "torque per ampere", axis.torque_constant_nm_per_a, "Nm/A", -asked_a
+    elif any(parameter.unit == "Nm/rps" for parameter in law.strengths):
+        what, base, unit, carrier = "viscous friction", friction.viscous_nm_per_rps, "Nm/rps", speed
+    else:
+        what, base, unit, carrier = "Coulomb friction", friction.coulomb_nm, "Nm", np.sign(speed)
     fast = np.abs(speed) > LEAST_SPEED_SHARE * np.abs(speed[seen.kept]).max()
     kept = seen.kept[fast[seen.kept]]
-    # least squares in each bin: mean of torque times speed over mean squared speed
-    carrier = speed / np.mean(speed[kept] ** 2) if viscous else np.sign(speed)
-    base = axis.viscous_nm_per_rps if viscous else axis.coulomb_nm
+    carrier = carrier / np.mean(carrier[kept] ** 2)
     drawn = {
         WITHOUT: base + seen.before_nm * carrier,
         SAYS: np.full(speed.size, base),
         WITH: base + seen.load_nm * carrier,
     }
     return Picture(
-        title=_title(seen, f"{'viscous' if viscous else 'Coulomb'} friction over time"),
+        title=_title(seen, f"{what} over time"),
         x_label="time",
         x_unit="s",
-        y_label="viscous friction" if viscous else "Coulomb friction",
-        y_unit="Nm/rps" if viscous else "Nm",
+        y_label=what,
+        y_unit=unit,
         curves=tuple(seen.curves(rows.time_s, kept, drawn, (WITHOUT,))),
         note="Runs in the order of the log's clock.",
-        says="Friction level: measured, and modelled without and with the effect.",
+        says=f"{what[0].upper()}{what[1:]}: measured, and modelled without and with the effect.",
     )
 
 

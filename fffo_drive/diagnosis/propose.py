@@ -348,6 +348,7 @@ def search_context(data: Data, fitted: Fitted, scenes: Sequence[Scene], facts: D
         slow_orders=slow_orders(rows, residual_nm),
         slow_level_orders=slow_orders(rows, residual_nm * sign),
         frequencies_hz=tuple(p.place for p in frequency_peaks(rows, residual_nm, PEAKS)),
+        first_s=float(rows.time_s.min()),
     )
 
 

@@ -23,9 +23,10 @@ from ..least_squares import huber
 from ..model.effects import slots
 from ..model.effects.registry import axis_of_effect
 from .fitting import Data, Fitted, consistent_scenes
+from .gates import rigid_rows
 from .results import Ceiling, Rest, share_above
 from .scenes import Scene
-from .spectra import time_spectrum
+from .spectra import own_line, time_spectrum
 
 REPORTED_RATIO = 1.2  # rms relative to the floor, above which a rest is reported
 # a rest that nothing predicts: correlated from here to there (0.7 and 0.95 on tx40 joint 1 and lorenz, 0.0 to 0.3 where
@@ -45,7 +46,7 @@ MEMORY_S = 3.0
 WORDS = {
     "angle": "motor_angle", "position": "output_angle", "velocity": "velocity", "acceleration": "acceleration",
     "torque": "torque", "direction": "direction", "travel": "travel_since_reversal", "time": "time",
-    "heat": "memory", "clock": "a clock of its own",
+    "heat": "memory", "clock": "a clock of its own", "cycle": "the cycle of the motion",
 }  # fmt: skip
 
 
@@ -93,7 +94,7 @@ def _black_box(data: Data, fitted: Fitted, rms: float) -> tuple[float, tuple[str
     if gain(huber(scaled), huber(scaled - predicted), data.folds).holds:
         floor *= float(np.sqrt(np.sum((scaled - predicted) ** 2) / np.sum(scaled**2)))
     axes = tuple(WORDS[name] for name in strongest)
-    clock = f" (a period of {period_s:.3g} s)" if "clock" in strongest else ""
+    clock = f" (a period of {period_s:.3g} s)" if {"clock", "cycle"} & set(strongest) else ""
     return floor, axes, (" and ".join(axes).replace("_", " ") or "the command, by its repeats") + clock
 
 
@@ -177,7 +178,7 @@ def _features(data: Data, fitted: Fitted) -> tuple[Floats, tuple[str, ...], floa
         "time": rows.time_s, "heat": rows.joined(_heat(scene) for scene in scenes),
     }  # fmt: skip
     if period_s > 0.0:
-        columns["clock"] = np.mod(rows.time_s, period_s)
+        columns["cycle" if _is_cycle(data, fitted, period_s) else "clock"] = np.mod(rows.time_s, period_s)
     return np.stack(list(columns.values()), axis=1), tuple(columns), period_s
 
 
@@ -197,6 +198,16 @@ def _clock(data: Data, fitted: Fitted) -> float:
     level = np.maximum(scipy.ndimage.median_filter(power, 257, mode="nearest"), 1e-300)
     comb = sum(np.minimum(power / level, 100.0)[base * k] for k in range(1, COMB_LINES + 1))
     return _refined(data, fitted, float(1.0 / frequency[base[int(np.argmax(comb))]]), float(frequency[1]))
+
+
+def _is_cycle(data: Data, fitted: Fitted, period_s: float) -> bool:
+    """Whether most of what has this period in the residual is at lines of the motion, which then has the period too."""
+    rows, motion_nm = data.rows, rigid_rows(data, fitted)
+    frequency, power = time_spectrum(rows, fitted.residual_nm)
+    lines = np.arange(1, COMB_LINES + 1) / period_s
+    own = np.array([own_line(rows, motion_nm, fitted.residual_nm, float(line)) is not None for line in lines])
+    there = np.interp(lines, frequency, power)
+    return float(there[own].sum()) > float(there[~own].sum())
 
 
 def _refined(data: Data, fitted: Fitted, period_s: float, step_hz: float) -> float:

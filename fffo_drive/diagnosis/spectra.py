@@ -26,6 +26,8 @@ LEVEL_BLOCKS = 16  # blocks in which the level of a spectrum is taken
 NEIGHBOURS = 40  # bins to each side that belong to the same line
 OUTSTANDING = 9.0  # height of a line over the level
 LONGEST_BINS = 1 << 18
+LINE_WIDTH = 1.5  # over the time of the longest stretch: half the width of a line, Hz
+OWN_LINE = 5.0  # torque of a line of the motion over that of a load: 2 beside a true disturbance, 15 beside a false one
 SLOWEST_LINE = 1.5  # below this order lines need not stand out ...
 BAND_RATIO = 1.5  # ... the largest of each band of this ratio is taken
 
@@ -122,6 +124,28 @@ def time_spectrum(rows: DiagnosisRows, values: Floats) -> tuple[Floats, Floats]:
         part = np.where(rows.kept[begin:end], values[begin:end], 0.0)
         power += np.abs(np.fft.rfft(part - part.mean() * rows.kept[begin:end], length)) ** 2
     return np.asarray(np.fft.rfftfreq(length, rows.filter.row_period_s), dtype=np.float64), power
+
+
+def own_line(
+    rows: DiagnosisRows, motion_nm: Floats, load_nm: Floats, frequency_hz: float, width_hz: float = 0.0
+) -> Peak | None:
+    """The line of the torque that the motion needs (m,) at a frequency, which a load (m,) cannot have made; None: none.
+
+    A disturbance moves the axis with its own torque, times what the loop amplifies; a spring near its resonance has the
+    torque of its inertia, and more. The strength of the line is its amplitude over that of the load.
+    """
+    frequency, motion = time_spectrum(rows, motion_nm)
+    load = time_spectrum(rows, load_nm)[1]
+    longest_s = max(end - begin for begin, end in rows.bounds) * rows.filter.row_period_s
+    near = np.flatnonzero(np.abs(frequency - frequency_hz) <= max(width_hz, LINE_WIDTH / longest_s))
+    if not near.size:
+        return None
+    place = near[np.argmax(motion[near])]
+    around = np.abs(np.arange(frequency.size) - place) <= max(NEIGHBOURS, near.size)
+    found = Peak(float(frequency[place]), float(np.sqrt(motion[place] / max(float(load[near].max()), 1e-300))))
+    stands_out = motion[place] > OUTSTANDING * float(np.median(motion[around]))
+    stands_out &= bool(motion[place] == motion[max(0, place - 1) : place + 2].max())  # and is no flank of another line
+    return found if stands_out and found.strength > OWN_LINE else None
 
 
 def _peaks(places: Floats, power: Floats, count: int, least: float) -> list[Peak]:

@@ -108,6 +108,11 @@ SAID: dict[str, Callable[[_Effect], str]] = {
         f"viscous friction {_rises(e['change_nm_per_rps'])} by {e.quantity(e['change_nm_per_rps'], 'Nm/rps')} (time "
         f"constant {sized(e['tau_s'], 's')})"
     ),
+    "torque_constant_drift": lambda e: (
+        f"the torque per ampere {_rises(-e['share'])} by {percent(abs(e['share']))} "
+        + (f"from {e['begin_s']:.4g} s on " if e["begin_s"] else "")
+        + f"(time constant {sized(e['tau_s'], 's')})"
+    ),
     "cogging": lambda e: f"a torque of \u00b1{e.quantity(e.wave('_nm'), 'Nm')} {_per_turn(e)}",
     "torque_ripple": lambda e: f"the motor's torque varies by \u00b1{percent(e.wave('_share'))} {_per_turn(e)}",
     "unbalance": lambda e: (

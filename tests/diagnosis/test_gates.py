@@ -17,6 +17,8 @@ from fffo_drive.diagnosis.gates import (
     shown_share,
     shrinking,
 )
+from fffo_drive.diagnosis.scenes import Effect
+from fffo_drive.model.effects.registry import LAWS
 
 OFFSET_NM = 0.006
 NONE = frozenset[str]()
@@ -69,6 +71,22 @@ def test_a_shape_that_no_machine_has_is_refused(one, words):
 def test_a_strength_may_be_a_little_beyond_for_its_noise():
     assert judged(effect("current_lag", {"share": 1.05}, tau_s=0.002)) == ""
     assert judged(effect("current_lag", {"share": 1.2}, tau_s=0.002)) != ""
+
+
+@pytest.mark.parametrize("size_rev", [0.0499, 0.1])
+def test_a_strength_on_its_bound_is_refused_in_whatever_run(size_rev):
+    strengths = {"cos1_rev": np.array([1e-3, size_rev]), "sin1_rev": np.array([1e-3, 1e-3])}
+    two = Effect("resolver_error", {}, strengths, frozenset(strengths))
+    assert f"cos1_rev {size_rev:.3g} rev" in judged(two)
+    strengths["cos1_rev"] = np.array([1e-3, 2e-3])
+    assert judged(Effect("resolver_error", {}, strengths, frozenset(strengths))) == ""
+
+
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if not law.in_base])
+def test_what_a_law_begins_with_is_no_bound(name):
+    law = LAWS[name]
+    strengths = {p.name: np.array([p.typical]) for p in law.strengths}
+    assert "implausible" not in judged(Effect(name, {p.name: p.typical for p in law.shapes}, strengths))
 
 
 def test_what_the_measured_current_shows_to_be_missing_is_still_needed():

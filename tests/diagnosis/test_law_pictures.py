@@ -70,7 +70,7 @@ def test_friction_over_velocity_is_measured_where_the_model_has_it_with_the_effe
     assert found["measured"].low is not None
 
 
-@pytest.mark.parametrize("name", ["coulomb_drift", "viscous_drift"])
+@pytest.mark.parametrize("name", ["coulomb_drift", "viscous_drift", "torque_constant_drift"])
 def test_a_drift_is_a_level_that_changes_with_time(data, name):
     found = curves(drawn(data, effect_of(name)))
     flat = found["model without it"].y

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import sklearn.ensemble  # noqa: F401  # before the limit of its threads: what is loaded later has none
 from diagnosis.planted import NOISE_NM, based, left, nothing, planted, runs
+from diagnosis.small_axis import FACTS as SMALL_AXIS
+from diagnosis.small_axis import there_and_back
 from scipy import signal
 from threadpoolctl import threadpool_limits
 
@@ -101,6 +103,14 @@ def test_a_disturbance_with_a_clock_of_its_own_is_reported_with_its_period():
 
 def test_a_clock_that_goes_on_from_run_to_run_is_reported_as_well():
     assert "a clock of its own" in rest(clock).axes
+
+
+@pytest.mark.parametrize(("period_s", "axis_word"), [(2.0, "the cycle of the motion"), (CLOCK_S, "a clock of its own")])
+def test_what_comes_with_the_cycle_of_a_repeated_motion_has_no_clock_of_its_own(period_s, axis_word):
+    """There and back every 2 s, and a push with that period or another."""
+    data, base = based(there_and_back(2.0), SMALL_AXIS)
+    found = rest_of(data, left(data, base, 0.006 * (np.mod(data.rows.time_s, period_s) < 0.06)), NO_CEILING, NEEDED_NM)
+    assert found.axes[0] == axis_word
 
 
 def test_what_repeats_is_reported_where_no_feature_says_it():

@@ -104,6 +104,10 @@ CLOSED = {
     "torque_saturation": (
         {"share": 0.5, "knee_a": 1.0}, lambda m: 0.5 * 0.148 * m[:, 5] * m[:, 5] ** 2 / (1.0 + m[:, 5] ** 2),
     ),
+    "torque_constant_drift": (
+        {"share": 0.3, "begin_s": 0.4, "tau_s": 0.5},
+        lambda m: -0.3 * 0.148 * m[:, 5] * np.expm1(-np.maximum(m[:, 0] - 0.4, 0.0) / 0.5),
+    ),
 }  # fmt: skip
 
 

@@ -94,6 +94,7 @@ class SearchContext(NamedTuple):
     slow_orders: tuple[float, ...] = ()  # the largest of each band of long waves, of the residual itself ...
     slow_level_orders: tuple[float, ...] = ()  # ... and of the residual times the direction
     frequencies_hz: tuple[float, ...] = ()  # peaks of the residual over time
+    first_s: float = 0.0  # where the data begin, on the clock of the log
 
     @property
     def turns(self) -> float:

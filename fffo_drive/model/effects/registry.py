@@ -28,6 +28,7 @@ NAMES = (
     "friction_ripple",
     "coulomb_drift",
     "viscous_drift",
+    "torque_constant_drift",
     "quadratic_drag",
     "cogging",
     "torque_ripple",

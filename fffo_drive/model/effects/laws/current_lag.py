@@ -32,7 +32,7 @@ LAW = Law(
     kernel=current_lag,
     parameters=(
         Parameter(
-            "share", "-", STRENGTH, -2.0, 2.0, 0.5, "share of the torque that lags; 1: all of it", plausible=(0.0, 1.0)
+            "share", "-", STRENGTH, -2.0, 2.0, 0.5, "share of the torque that lags; 1: all of it", plausible=(0.0, 1.1)
         ),
         Parameter("tau_s", "s", SHAPE, 1e-06, 1.0, 0.002, "time constant", logarithmic=True, plausible=(1e-6, 0.005)),
     ),

@@ -8,6 +8,8 @@ from .. import slots as s
 from ..kinds import wave
 from ..law import STRENGTH, Law, Parameter, no_shape
 
+PLAUSIBLE_REV = (-0.05, 0.05)  # 18 degrees: a magnet that is far off its axis
+
 
 @njit
 def resolver_error(signals: Floats, parameters: Floats, memory: Floats) -> None:
@@ -22,10 +24,10 @@ LAW = Law(
     axis="motor_angle",
     kernel=resolver_error,
     parameters=(
-        Parameter("cos1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine once a turn"),
-        Parameter("sin1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine once a turn"),
-        Parameter("cos2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine twice a turn"),
-        Parameter("sin2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine twice a turn"),
+        Parameter("cos1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine once a turn", plausible=PLAUSIBLE_REV),
+        Parameter("sin1_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine once a turn", plausible=PLAUSIBLE_REV),
+        Parameter("cos2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "cosine twice a turn", plausible=PLAUSIBLE_REV),
+        Parameter("sin2_rev", "rev", STRENGTH, -0.1, 0.1, 1e-3, "sine twice a turn", plausible=PLAUSIBLE_REV),
     ),
     search=no_shape,
     meaning="the measured angle has errors of one and two periods per turn",
