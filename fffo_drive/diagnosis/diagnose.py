@@ -171,7 +171,8 @@ def assemble(
     base_matrix = jacobian(data, base)
     sd = standard_deviations(data, fitted, selected.matrix, selected.negligible_nm)
     own = [_finding(facts, selected, number, sd, proof, worse) for number in range(len(fitted.effects))]
-    own = judged(own, rest)
+    faulty = [record for record in (*fit, *held_out) if record.fault]
+    own = judged(own, rest, f"the position of {faulty[0].name} is at fault" if faulty else "")
     findings = own + [_refused(one) for one in selected.refused if one.name not in {f.name for f in own}]
     # causes, the friction's own forms, what is in doubt, what was refused; in each the first rungs first, then by share
     findings = ranked(
@@ -182,7 +183,8 @@ def assemble(
     tell(0.95, "where it lives")
     lives = channels(data, (base, base_matrix), (fitted, selected.matrix), settings.false_alarm_rate)
     accepted = [f for f in findings if f.accepted]
-    remarks = contradictions(selected, fit, look if rest is not None else None)
+    remarks = [f"{record.name}: {record.fault}" for record in faulty]
+    remarks += contradictions(selected, fit, look if rest is not None else None)
     verdict, headline = verdict_of(accepted, worse, rest, remarks)
     base_sd = standard_deviations(data, base, base_matrix, selected.negligible_nm)
     return Diagnosis(
@@ -247,8 +249,9 @@ def verdict_of(
     return "no_effect_found", "No effect found: what is left is small, or noise that nothing predicts."
 
 
-def judged(findings: Sequence[Finding], rest: Rest | None) -> list[Finding]:
-    """Findings with the reason why each may not be what its name says; empty where it stands out.
+def judged(findings: Sequence[Finding], rest: Rest | None, fault: str = "") -> list[Finding]:
+    """Findings with the reason why each may not be what its name says; empty where it stands out. `fault`: of a
+    position, which makes all of them doubtful.
 
     A law that is steady over the blocks and clear on held-out runs is a cause, whatever remains. Any other stands out
     if it removes more than the rest and the free curves together, which name no cause: twice as much, as was asked
@@ -260,7 +263,7 @@ def judged(findings: Sequence[Finding], rest: Rest | None) -> list[Finding]:
     """
     curves = sum(_removed(one) for one in findings if one.curve is not None)
     unnamed = curves + (rest.share if rest is not None else 0.0)
-    return [replace(one, doubt=_doubt(one, unnamed)) for one in findings]
+    return [replace(one, doubt=fault or _doubt(one, unnamed)) for one in findings]
 
 
 def _doubt(finding: Finding, unnamed: float) -> str:

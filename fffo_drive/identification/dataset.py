@@ -22,7 +22,7 @@ from ..recording.reader import Run
 from ..recording.table import SUFFIXES, LogTable, column_names, read_table
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
-from .impossible import impossible_lines, impossible_samples, resolution
+from .impossible import fault_at_angle, impossible_lines, impossible_samples, resolution
 from .timebase import Even, at_lower_rate, on_even_grid
 
 SHORTEST_S = 1.0
@@ -88,6 +88,7 @@ class Record:
     good: Mask | None = None  # (n,) False where a sample was filled in; None: all were measured
     reference_position_rev: Floats | None = None  # of a reference encoder on the same shaft
     limited: Mask | None = None  # (n,) True where the drive was at its internal limit; None: nowhere, or not known
+    fault: str = ""  # of the position, for which nothing that is found in the run is certain; empty: none is seen
 
     @property
     def samples(self) -> int:
@@ -345,6 +346,8 @@ def _unchecked(
     if facts.lsb_rev:
         counts["position_rev"] = facts.lsb_rev
     counts.setdefault("current_command_a", counts.get("current_a", 0.0))
+    fault = _fault(columns, even, counts) if facts.units == "rotary" else ""
+    warnings += [f"{path}: {fault}"] if fault else []
     good, breaks = _without_impossible(path, columns, even, counts, warnings)
     if stands_in:
         now_a = columns["current_command_a"]  # measured at an instant, where a command is held from it to the next one
@@ -375,8 +378,19 @@ def _unchecked(
         good=good,
         reference_position_rev=columns.get("reference_position_rev"),
         limited=_limits(columns),
+        fault=fault,
         warnings=tuple(warnings),
     )
+
+
+def _fault(columns: Mapping[str, Floats], even: Even, counts: Mapping[str, float]) -> str:
+    """What is wrong with the position itself, in words; empty: nothing is seen."""
+    position_rev = columns.get("position_rev")
+    if position_rev is None:
+        return ""
+    bounds = itertools.pairwise((0, *even.breaks, position_rev.size))
+    found = (fault_at_angle(position_rev[a:b], even.period_s, counts["position_rev"]) for a, b in bounds)
+    return next((one.sentence for one in found if one is not None), "")
 
 
 def _without_impossible(

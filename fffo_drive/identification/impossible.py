@@ -11,6 +11,8 @@ impossible steps is the sensor's error:
   motion does in LONGEST_OUTLIER_S may be rows that are missing (LAAS: 7 of 10 ms), and is left alone.
 
 An impossible step that stays in a velocity is a blow, and is left alone.
+
+Smaller steps of a position that come at the same angle turn by turn are a fault of the sensor there (`fault_at_angle`).
 """
 
 from __future__ import annotations
@@ -40,6 +42,13 @@ MOST_SLIPS = 0.01  # of the samples: with more it is not the coupling
 LEAST_STILL = 4  # equal samples of a sensor that stands still, and at least LONGEST_OUTLIER_S
 CAUGHT_UP = (0.5, 2.0)  # the step after a standstill, over what the steps before and after it would have made
 MOST_SHARE = 0.3  # of the samples: with more it is the sensor's way, and not a fault
+
+
+AT_ANGLE = 0.03  # of a turn, to each side: steps are at the same angle
+ANGLES = np.linspace(0.0, 1.0, 100, endpoint=False)  # of a turn, that are tried
+LEAST_TIMES = 6  # of such steps, in ...
+LEAST_TURNS = 3  # ... so many turns
+ONE_ANGLE = 0.4  # share of all impossible steps in motion: a scale may have a fault with a begin and an end
 
 
 class Impossible(NamedTuple):
@@ -99,6 +108,49 @@ def impossible_samples(values: Floats, period_s: float, count: float, position: 
     found = Impossible(bad, outliers, standstills, tuple(slips), slipped)
     few = np.count_nonzero(bad) <= MOST_SHARE * bad.size and len(slips) <= MOST_SLIPS * bad.size
     return found if few and (outliers or standstills or slips) else None
+
+
+class AngleFault(NamedTuple):
+    """Steps of a position that come at one angle of the turn."""
+
+    angle_rev: float
+    step_rev: float  # median of their sizes
+    times: int
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return (
+            f"the position jumps by {self.step_rev:.3g} rev at one angle ({self.angle_rev:.2f} of a turn, {self.times} "
+            "times): the sensor loses counts there, or its scale is damaged or dirty"
+        )
+
+
+def fault_at_angle(position_rev: Floats, period_s: float, count: float) -> AngleFault | None:
+    """The angle at which a position (n,) at even times jumps turn by turn; None where there is none.
+
+    Where counts are lost for good, the angle comes again a turn less these counts later.
+    """
+    steps = np.diff(position_rev)
+    if steps.size < LEAST_LEVEL or period_s > 1.0 / LEAST_RATE_HZ:
+        return None
+    excess, usual, limit = _excess(steps, period_s)
+    places = np.flatnonzero((np.abs(excess) > np.maximum(limit, COUNTS * count)) & (np.abs(usual) > count))
+    if places.size < LEAST_TIMES:
+        return None
+    size = float(np.median(np.abs(excess[places])))
+    found = []
+    for period_rev in (1.0, 1.0 - size, 1.0 + size):
+        turns = position_rev[places] / period_rev
+        away = np.mod(turns - ANGLES[:, None] + 0.5, 1.0) - 0.5
+        near = np.abs(away) < AT_ANGLE
+        most = int(np.argmax(near.sum(axis=1)))
+        here = near[most]
+        if np.unique(np.rint(turns[here] - ANGLES[most])).size >= LEAST_TURNS:
+            angle_rev = np.mod(ANGLES[most] + np.median(away[most][here]), 1.0)
+            found.append(AngleFault(float(angle_rev), size, int(np.count_nonzero(here))))
+    best = max(found, key=lambda one: one.times, default=None)
+    return best if best is not None and best.times >= max(LEAST_TIMES, ONE_ANGLE * places.size) else None
 
 
 def _standstill(steps: Floats, place: int, least: float) -> int:

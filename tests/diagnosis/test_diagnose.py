@@ -289,6 +289,15 @@ def test_what_does_not_stand_out_from_what_no_law_explains_is_in_doubt():
     assert "does not stand out" in doubts(enough, curve, rest=HALF)[0]
 
 
+def test_nothing_is_certain_where_the_position_itself_is_at_fault():
+    sure = accepted("cogging", held_out_gain=(30.0, 1.0))
+    assert [one.doubt for one in judged(sure, None)] == [""]
+    fault = "the position of run-1 is at fault"
+    found = judged(sure, None, fault)
+    assert [one.doubt for one in found] == [fault]
+    assert verdict_of(found, "", None, [fault]) == ("unexplained", f"{fault}.")
+
+
 def test_a_doubt_does_not_feed_itself():
     """A law that is clear of the rest stays so beside a doubtful law that removes nearly as much."""
     first = {"name": "friction_ripple", "explained_fraction": 0.4}  # removes 0.67; more than 0.5 is needed

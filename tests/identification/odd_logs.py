@@ -148,6 +148,17 @@ def held_five(log):
     return with_position(log, counted(log["position_rev"])[np.arange(size) // 5 * 5])
 
 
+def counts_lost(log, lost_rev=0.004):
+    """Counts are lost for good at 0.37 of each turn."""
+    return with_position(log, counted(log["position_rev"] - lost_rev * np.floor(log["position_rev"] - 0.37)))
+
+
+def scale_damaged(log, by_rev=0.004):
+    """For a twentieth of each turn from 0.37 on the position is behind."""
+    behind = np.mod(log["position_rev"] - 0.37, 1.0) < 0.05
+    return with_position(log, counted(log["position_rev"] - by_rev * behind))
+
+
 ODD = (
     spikes_each_turn,
     velocities_off,
@@ -156,6 +167,8 @@ ODD = (
     positions_off,
     positions_zero,
     slips,
+    counts_lost,
+    scale_damaged,
     stands_still,
     hall,
     eight_bits,

@@ -12,8 +12,12 @@ from identification.odd_logs import (
     RATE_HZ,
     VISCOUS_NM_PER_RPS,
     counted,
+    counts_lost,
+    eight_bits,
+    hall,
     motion,
     positions_off,
+    scale_damaged,
     slips,
     spikes_each_turn,
     stands_still,
@@ -74,6 +78,24 @@ def test_what_no_motion_makes_is_told_in_numbers_and_left_out():
     slipped = record(slips(log))
     assert len(slipped.breaks) == 3
     assert any("slips 3 times, by up to 0.5 rev" in text for text in slipped.warnings)
+
+
+@pytest.mark.parametrize("spoil", [counts_lost, scale_damaged])
+@pytest.mark.parametrize("step_rev", [0.0015, 0.004, 0.02])
+def test_a_position_that_jumps_at_one_angle_is_told_with_the_place(spoil, step_rev):
+    log = motion()
+    fault = record(spoil(log, step_rev)).fault
+    assert f"jumps by {step_rev:.3f}"[:-1] in fault
+    angle_rev = float(fault.split("(")[1].split(" ")[0])
+    assert abs(angle_rev - 0.37) < 0.06  # either end of a damaged part
+    assert fault in "\n".join(said(spoil(log, step_rev)))
+
+
+@pytest.mark.parametrize("spoil", [positions_off, slips, stands_still, hall, eight_bits])
+def test_what_happens_at_any_angle_is_no_fault_at_one(spoil):
+    assert record(spoil(motion())).fault == ""
+    linear = FACTS.model_copy(update={"units": "linear"})
+    assert record_of_columns("odd", counts_lost(motion()), linear).fault == ""
 
 
 def test_the_velocity_at_an_outlier_is_that_of_its_neighbours():
