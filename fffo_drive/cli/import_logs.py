@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument_group("a log of a robot").add_argument(
         "--joint",
         metavar="NAME",
-        help="of vectors with a number a joint (LeRobot, JointState): name, number from 0, or all (a recording each)",
+        help="of vectors with a number a joint (LeRobot, JointState, matrices): name or number, or all",
     )
     trace = parser.add_argument_group("a trace of a CAN bus")
     trace.add_argument(

@@ -15,6 +15,7 @@ from ..recording.errors import RecordingError
 from ..recording.files import check_columns, text_bytes
 from ..recording.mat_elements import unpacked
 from ..recording.unpack import Allowance
+from .joints import declared_names, with_joints
 from .source import Source, source_of_arrays
 
 LARGEST_ARRAYS_BYTES = 1 << 32  # of a log as numbers, unpacked
@@ -47,7 +48,7 @@ def read_mat(path: Path) -> Source:
         _flatten(name, value, found)
     if not found and remarks:
         raise RecordingError(f"{path}: {remarks[0]}")
-    return source_of_arrays(path, found, tuple(remarks))
+    return with_joints(source_of_arrays(path, found, tuple(remarks)))
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -88,7 +89,7 @@ def _read_mat_73(path: Path) -> Source:
         raise RecordingError(f"{path}: not a readable MAT file: {error}") from error
     if not found and remarks:
         raise RecordingError(f"{path}: {remarks[0]}")
-    return source_of_arrays(path, found, tuple(remarks))
+    return with_joints(source_of_arrays(path, found, tuple(remarks)))
 
 
 def read_npz(path: Path) -> Source:
@@ -112,15 +113,13 @@ def read_npz(path: Path) -> Source:
             found |= {field: array[field] for field in array.dtype.names}
         else:
             found[name] = array
-    return source_of_arrays(path, found)
+    return with_joints(source_of_arrays(path, found))
 
 
 def read_parquet(path: Path) -> Source:
     """Columns of numbers of a Parquet or Feather file, and lists of numbers: a column each, `name[k]`."""
     import pyarrow
     from pyarrow import feather, parquet
-
-    from .joints import declared_names, with_joints
 
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
@@ -206,7 +205,7 @@ def read_json(path: Path) -> Source:
         raise RecordingError(
             f"{path}: a list of objects, or an object of lists is needed; it holds {type(content).__name__}"
         )
-    return source_of_arrays(path, found)
+    return with_joints(source_of_arrays(path, found))
 
 
 def _are_records(value: Any) -> bool:
@@ -219,6 +218,9 @@ def _of_records(path: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
     for row in rows:
         own: dict[str, Any] = {}
         _flatten("", row, own)
+        for name in [name for name, value in own.items() if value.ndim == 1 and value.dtype.kind in "biuf"]:
+            if own[name].size <= LONGEST_LIST:
+                own |= {f"{name}[{k}]": number for k, number in enumerate(own.pop(name))}
         check_columns(path, len(own), f", record {len(flat) + 1}")
         flat.append(own)
     names = dict.fromkeys(name for row in flat for name in row)

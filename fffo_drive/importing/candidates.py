@@ -66,7 +66,7 @@ class Hints:
     roles: Mapping[str, str] = field(default_factory=dict)  # signal -> column, "" for none
     units: Mapping[str, str] = field(default_factory=dict)  # column -> unit
     drive: TraceDrive | None = None  # whose PDOs a trace of a CAN bus holds
-    joint: str | None = None  # of a robot's log: a name, a number from 0, or all of them
+    joint: str | None = None  # of a robot's log: a name, a number, or all of them
 
 
 class Guess(NamedTuple):

@@ -1,7 +1,7 @@
 """Logs of robots: vectors with a number a joint, the choice of one, and LeRobot datasets.
 
-A vector is a list column of Parquet, an array of MCAP messages, or the fields of a JointState. Its columns are
-`name[k]` until a joint is chosen, and `name` from then on.
+A vector is a list column of Parquet, an array of MCAP messages, the fields of a JointState, a matrix of MATLAB, HDF5 or
+NumPy. Its columns are `name[k]` (`name_k` of a matrix, from 1) until a joint is chosen, and `name` from then on.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ MOST_SLOPE = 2.0  # of a set point against the position that follows it
 MOST_LISTED = 24
 MOVES = 0.05  # of the largest range of positions: a joint that stands has less
 _INDEXED = re.compile(r"^(?P<name>[^\[\]]*)\[(?P<index>[^\[\]]+)\](?P<rest>[^\[\]]*)$")
+_NUMBERED = re.compile(r"^(?P<name>.+)_(?P<index>\d+)(?P<rest>)$")
 _OF_JOINT = re.compile(  # shoulder_pan.pos
     r"^(?P<joint>.+)[._](?P<what>pos|position|vel|velocity|torque|effort|current|temp|temperature)$", re.IGNORECASE
 )
@@ -56,7 +57,7 @@ def with_joints(source: Source, names: Mapping[str, Sequence[str]] | None = None
     """
     vectors: dict[str, list[str]] = {}
     for column in source.columns:
-        if found := _INDEXED.match(column):
+        if found := _index_of(column):
             vectors.setdefault(found["name"] + found["rest"], []).append(column)
     parts = {name: _parts_of(name, columns, (names or {}).get(name, ())) for name, columns in vectors.items()}
     motion = sorted((name for name in parts if _moves(name, parts[name])), key=lambda name: name != STATE)
@@ -74,10 +75,14 @@ def with_joints(source: Source, names: Mapping[str, Sequence[str]] | None = None
     return replace(source, joints=joints) if len(joints) > 1 else source
 
 
+def _index_of(column: str) -> re.Match[str] | None:
+    return _INDEXED.match(column) or _NUMBERED.match(column)
+
+
 def _parts_of(name: str, columns: Sequence[str], said: Sequence[str]) -> list[tuple[str, str]]:
     """(joint, column without it) of each number of a vector."""
     if len(said) != len(columns):
-        return [(found["index"], name) for column in columns if (found := _INDEXED.match(column))]
+        return [(found["index"], name) for column in columns if (found := _index_of(column))]
     ended = [match for one in said if (match := _OF_JOINT.match(one))]
     if len(ended) < len(said):
         return [(one, name) for one in said]
@@ -109,12 +114,10 @@ def chosen(sources: Sequence[Source], wanted: str | None) -> dict[str, list[Sour
         names = _moving(sources, joints)
     elif wanted in joints:
         names = [wanted]
-    elif wanted.isdigit() and int(wanted) < len(joints):
+    elif wanted.isdigit() and int(wanted) < len(joints) and not joints[0].isdigit():
         names = [joints[int(wanted)]]
     else:
-        raise RecordingError(
-            f"{sources[0].path}: --joint {wanted}: {did_you_mean(wanted, joints)}, or 0 to {len(joints) - 1}, or {ALL}"
-        )
+        raise RecordingError(f"{sources[0].path}: --joint {wanted}: {did_you_mean(wanted, [*joints, ALL])}")
     return {name: [_of_joint(source, name) for source in sources if name in source.joints] for name in names}
 
 
@@ -123,7 +126,7 @@ def _moving(sources: Sequence[Source], joints: list[str]) -> list[str]:
     moving = [joint for joint in joints if ranges[joint] > MOVES * max(ranges.values())]
     if len(moving) == 1:
         return moving
-    listed = ", ".join(f"{k} {joint}" if joint != str(k) else joint for k, joint in enumerate(joints[:MOST_LISTED]))
+    listed = ", ".join(joint if joint.isdigit() else f"{k} {joint}" for k, joint in enumerate(joints[:MOST_LISTED]))
     more = f" and {len(joints) - MOST_LISTED} more" if len(joints) > MOST_LISTED else ""
     raise JointNeededError(
         f"{sources[0].path}: {len(joints)} joints ({listed}{more}): say which by name or number, or {ALL}",

@@ -203,7 +203,10 @@ def test_the_only_joint_that_moves_needs_no_name(tmp_path):
     assert one.source.joint == "1"
 
 
-@pytest.mark.parametrize(("wish", "said"), [("elbw", "did you mean 'elbow'"), ("7", "0 to 2"), ("-1", "0 to 2")])
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [("elbw", "did you mean 'elbow'"), ("7", "there is all, elbow, should"), ("-1", "there is all, elbow, should")],
+)
 def test_a_joint_that_is_not_there_is_refused(tmp_path, wish, said):
     with pytest.raises(RecordingError, match=said):
         recognised_logs([dataset(tmp_path / "set", 1)], Hints(joint=wish))
@@ -237,6 +240,58 @@ def test_metadata_that_are_none_are_refused_by_name(tmp_path, content):
     (root / "meta" / "info.json").write_text(content)
     with pytest.raises(RecordingError, match=r"info\.json: not readable"):
         recognised_logs([root], Hints(joint="0"))
+
+
+def npz(path: Path, parts: dict) -> Path:
+    np.savez(path, time_s=LOG.time_s, **parts)
+    return path
+
+
+def mat(path: Path, parts: dict) -> Path:
+    from scipy.io import savemat
+
+    savemat(path, {"time_s": LOG.time_s, **parts})
+    return path
+
+
+def hdf5(path: Path, parts: dict) -> Path:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in {"time_s": LOG.time_s, **parts}.items():
+            file[f"observations/{name}"] = values
+    return path
+
+
+def lists(path: Path, parts: dict) -> Path:
+    path.write_text(json.dumps({"time_s": LOG.time_s.tolist()} | {name: v.tolist() for name, v in parts.items()}))
+    return path
+
+
+def records(path: Path, parts: dict) -> Path:
+    rows = [{"time_s": t} | {name: v[k].tolist() for name, v in parts.items()} for k, t in enumerate(LOG.time_s)]
+    path.write_text(json.dumps(rows))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "joint"),
+    [("a.npz", npz, "2"), ("a.mat", mat, "2"), ("a.hdf5", hdf5, "2"), ("a.json", lists, "2"), ("b.json", records, "1")],
+)
+def test_matrices_have_a_column_a_joint(tmp_path, name, make, joint):
+    parts = vectors()
+    path = make(
+        tmp_path / name,
+        {
+            "qpos": parts["observation.state"],
+            "qvel": parts["observation.velocity"],
+            "effort": parts["observation.effort"],
+        },
+    )
+    with pytest.raises(JointNeededError, match="3 joints"):
+        recognised_logs([path], Hints())
+    (one,) = recognised_logs([path], Hints(joint=joint))
+    np.testing.assert_allclose(one.log.columns["current_a"], -0.7 * LOG.current_a, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(one.log.columns["position_rev"]), 0.7 * np.ptp(LOG.position_rev), rtol=1e-9)
 
 
 # MCAP
