@@ -32,16 +32,17 @@ from .evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from .evaluation.replay_runs import ReplayReport
 from .evaluation.summary import Summary, summarise
 from .extras import needs_extra
-from .identification.dataset import RECORDINGS, Record, distinct_names, load_record, one_rate, record_of_columns
+from .identification.dataset import Record, distinct_names, load_record, one_rate, record_of_columns
 from .identification.facts import DriveFacts
 from .identification.facts import read_facts as read_facts
 from .identification.population import AgainstPopulation
 from .identification.tuning import Wish
+from .importing.log import read_log
+from .importing.read import RECORDINGS
 from .model.parameters import ModelFile
 from .model.parameters import read_model as read_model
 from .model.parameters import write_model as write_model_file
 from .recording.reader import read_run as read_recording
-from .recording.table import read_table
 from .runtime.runs import timestamp_name
 from .signals import UNITS
 from .workflows import adopt as adoption
@@ -215,7 +216,9 @@ def read_run(
     source: Source, *, facts: DriveFacts | str | Path | None = None, torque_constant_nm_per_a: float | None = None,
     name: str | None = None,
 ) -> MeasuredRun:  # fmt: skip
-    """Read a run: a recording (.mcap), a table (CSV, MAT), or a mapping of arrays (n,) by signal name.
+    """Read a run: a recording (.mcap), a log of any kind (CSV, MAT, NPZ ...), or arrays (n,) by signal name.
+
+    A log whose columns and units leave a doubt is an error that says which `fffo-drive import` line answers it.
 
     `facts`: what is declared about the drive, or the file with it; recordings contain it.
     `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. An incomplete recording
@@ -239,10 +242,10 @@ def read_run(
     own = _facts_carried(path, torque_constant_nm_per_a) if carries and facts is None else None
     declared = _facts(facts or own, torque_constant_nm_per_a)
     if not carries:
-        table = read_table(path, None if declared is None else declared.column_map(), uneven_time=True)
-        for text in table.warnings:
+        log = read_log(path, None if declared is None else declared.hints())
+        for text in log.remarks:
             warnings.warn(text, stacklevel=2)
-        return MeasuredRun(name or path.name, dict(table.columns), declared, path)
+        return MeasuredRun(name or path.name, dict(log.columns), declared, path)
     recording = read_recording(path)
     if not recording.complete:
         warnings.warn(recording.reason, stacklevel=2)

@@ -1,10 +1,10 @@
 """Find what the model of an axis lacks, name it, add it, and show the error before and after on held-out runs.
 
-RUN is a recording (MCAP) or a table (CSV, CSV.GZ, MAT). Effects are chosen on the --fit runs only; the --held-out
-runs are used once, to test the result. Without --model the base model is identified from the --fit runs; with
---prior, other drives of the same model supply what these determine poorly. Writes the page DIR/report.html,
-DIR/report.json (its schema is stable) and DIR/model.yaml, the base model with the effects found, which `fffo-drive
-adopt` puts in service.
+RUN is a recording (MCAP), or a log of another program without a doubt, as `identify` takes it. Effects are chosen on
+the --fit runs only; the --held-out runs are used once, to test the result. Without --model the base model is
+identified from the --fit runs; with --prior, other drives of the same model supply what these determine poorly. Writes
+the page DIR/report.html, DIR/report.json (its schema is stable) and DIR/model.yaml, the base model with the effects
+found, which `fffo-drive adopt` puts in service.
 
 If the effects found do not lower the error of the held-out runs, no model is written and a DIR/model.yaml of an earlier
 diagnosis is removed.

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     add = _action(actions, "add", "index runs; nothing is copied")
-    add.add_argument("runs", nargs="*", metavar="RUN", help="recording (MCAP) or table (CSV, MAT): path or URL")
+    add.add_argument("runs", nargs="*", metavar="RUN", help="recording, or a log as `identify` takes it: path or URL")
     add.add_argument("--from", dest="source", metavar="DIR|URL", help="all finished recordings in DIR and below")
     add.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     add.add_argument("--serial", metavar="NAME", help="serial number of the drive, instead of the one in the runs")

@@ -1,8 +1,9 @@
 """Fit a model to logs of one axis: parameters with uncertainties, residuals, frequency response.
 
-LOG is a recording (MCAP) or a table (CSV, TXT, TSV, plain or gzip, or MAT); several are fitted together. --drive is a
-YAML file of declared facts (torque constant, resolver, poles and slots, columns of other programs' logs; `fffo-drive
-config schema facts`); recordings of this program and of `fffo-drive import` contain them. If the logs show a constant
+LOG is a recording (MCAP), or any log that `fffo-drive import` reads; one that leaves a doubt about a column or a unit
+is refused with the `import` line that answers it. Several logs are fitted together. --drive is a YAML file of declared
+facts (torque constant, resolver, poles and slots, columns of other programs' logs; `fffo-drive config schema facts`);
+recordings of this program and of `fffo-drive import` contain them. If the logs show a constant
 torque, friction that differs by direction, gravity or ripple over the angle, it is fitted as well. Writes
 DIR/model.yaml for the controller, and the page DIR/report.html with DIR/report.json; --svg also draws every figure of
 the page. With --prior, a few seconds of motion are enough: other drives of the same type supply what the logs do not

@@ -26,19 +26,7 @@ from ..documents import did_you_mean
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
 from ..importing.can_trace import NodeNeededError
-from ..importing.candidates import (
-    COMMAND_A,
-    CURRENT_A,
-    ENCODER_REV,
-    POSITION_REV,
-    REFERENCE_RPS,
-    SETPOINT_REV,
-    TIME_S,
-    VELOCITY_RPS,
-    Guess,
-    Hints,
-    Recognition,
-)
+from ..importing.candidates import COMMAND_A, CURRENT_A, ROLES, Guess, Hints, Recognition
 from ..importing.joints import JointNeededError
 from ..importing.source import TraceDrive
 from ..importing.times import RateNeededError
@@ -60,10 +48,6 @@ from ..workflows.import_logs import (
 from ..workflows.trace_drive import SCALES, trace_drive
 
 SAY_IT = "say what it is with --unit, --position, --velocity, --command and their like"
-ROLES = {
-    "time": TIME_S, "position": POSITION_REV, "velocity": VELOCITY_RPS, "command": COMMAND_A, "current": CURRENT_A,
-    "reference": REFERENCE_RPS, "setpoint": SETPOINT_REV, "reference_encoder": ENCODER_REV,
-}  # fmt: skip
 DECLARED = ("torque_constant_nm_per_a", "gear_ratio", "pole_pairs", "slots", "absolute_angle", "load_gravity_nm")
 
 

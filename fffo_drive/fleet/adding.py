@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..documents import DocumentError, check, parse
-from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts
 from ..importing.convert import FACTS_NAME
+from ..importing.read import RECORDINGS, SUFFIXES
 from ..recording.errors import RecordingError
 from ..recording.reader import RunHead, read_head
-from ..recording.table import SUFFIXES
 from ..recording.writer import PART_SUFFIX
 from .place import digest_of, is_url, local_copy, open_filesystem
 from .store import FleetStore

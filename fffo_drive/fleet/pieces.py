@@ -16,7 +16,6 @@ import numpy as np
 
 from ..arrays import Floats, Integers
 from ..identification.dataset import (
-    RECORDINGS,
     SHORTEST_S,
     TAKEN,
     DataError,
@@ -30,10 +29,10 @@ from ..identification.gaps import LogTiming
 from ..identification.kinematics import NOTHING_BEFORE, Before, Kinematics, motion_of, sure_direction
 from ..identification.kinematics import travel_since_reversal_rev as travel_of
 from ..identification.rows import RegressionStretch, samples_a_row, stretch_of
-from ..identification.timebase import LONGEST_BRIDGE_S, typical_period_s
+from ..identification.timebase import GAP_PERIODS, LONGEST_BRIDGE_S, typical_period_s
+from ..importing.read import RECORDINGS
 from ..recording.events import Level
 from ..recording.reader import RowBlocks, Run
-from ..recording.table import GAP_PERIODS
 from ..signals import TEMPERATURE
 from ..units import NS_PER_S
 from ..workflows.recorded_facts import facts_in

@@ -14,12 +14,12 @@ import scipy  # its modules load where they are first used
 
 from ..arrays import Floats, Mask
 from ..drive.cia402 import STATUS_INTERNAL_LIMIT
-from ..recording.column_map import TIME, identity_map
+from ..importing.convert import Converted
+from ..importing.log import read_log
+from ..importing.read import RECORDINGS, short_name
 from ..recording.errors import RecordingError
 from ..recording.files import regular
-from ..recording.load import read_log
-from ..recording.reader import Run
-from ..recording.table import SUFFIXES, LogTable, column_names, read_table
+from ..recording.reader import Run, read_run
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
 from .impossible import fault_at_angle, impossible_lines, impossible_samples, resolution
@@ -33,7 +33,6 @@ SHORTEST_STRETCH_S = 0.1  # between gaps: data shorter than the filters' memory 
 SHORTEST_STRETCH_SAMPLES = 20
 SAME_RATE = 1e-3  # rates that differ by a smaller share are one rate
 LARGEST_RATE_RATIO = 10.0  # a slower log would degrade the others too far
-RECORDINGS = (".mcap", ".mcap.part")
 LEAST_MOTION_LSB = 50.0  # a record with less travel is useless
 SCALE_TOLERANCE = 0.05  # of the velocity against the derivative of the position
 KNOWN_FACTORS = {
@@ -113,7 +112,7 @@ class Record:
 
 
 def load_record(path: str | Path, facts: DriveFacts) -> Record:
-    """Read one log (MCAP, CSV, MAT) by the declared facts, on a uniform grid (`timebase`).
+    """Read one log by the declared facts, on a uniform grid (`timebase`).
 
     Raises DataError with all reasons against a fit, RecordingError for a file that cannot be read.
     """
@@ -122,20 +121,15 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     return record_of_log(path, log_of(path, facts), facts, digest)
 
 
-def log_of(path: Path, facts: DriveFacts) -> Run | LogTable:
-    """A log as it is, a table by the columns that the facts declare. Raises RecordingError, OSError."""
-    if path.name.endswith(RECORDINGS):
-        return read_log(path)
-    mapping = facts.column_map()
-    if mapping is None and facts.sample_rate_hz is not None and TIME not in (names := column_names(path)):
-        mapping = replace(identity_map(names), rate_hz=facts.sample_rate_hz)
-    return read_table(path, mapping, uneven_time=True)
+def log_of(path: Path, facts: DriveFacts) -> Run | Converted:
+    """A recording as it is, any other log by the facts (`importing.log`). Raises RecordingError, OSError."""
+    return read_run(path) if path.name.endswith(RECORDINGS) else read_log(path, facts.hints())
 
 
-def record_of_log(path: Path, log: Run | LogTable, facts: DriveFacts, digest: str) -> Record:
+def record_of_log(path: Path, log: Run | Converted, facts: DriveFacts, digest: str) -> Record:
     """As `load_record`, of a log that was read. `digest`: of its file. Raises DataError."""
     columns = with_limit_column({name: log.columns[name] for name in TAKEN if name in log.columns})
-    warnings = list(log.warnings) if isinstance(log, LogTable) else ([log.reason] if log.reason else [])
+    warnings = list(log.remarks) if isinstance(log, Converted) else ([log.reason] if log.reason else [])
     fresh = None
     if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
@@ -261,13 +255,6 @@ def _slowed(record: Record, period_s: float) -> Record:
         breaks=tuple(itertools.accumulate(sure.size for _, sure in parts[:-1])),
         warnings=(*record.warnings, f"{record.path}: brought from {rates}, the rate of the slowest log"),
     )  # fmt: skip
-
-
-def short_name(path: Path) -> str:
-    """The file's name without what says of which kind it is."""
-    suffixes = (*RECORDINGS, *SUFFIXES)
-    suffix = max((s for s in suffixes if path.name.lower().endswith(s)), key=len, default="")
-    return path.name[: len(path.name) - len(suffix)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

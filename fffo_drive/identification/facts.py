@@ -6,14 +6,16 @@ m, m/s and N throughout, and the torque constant is a force constant (N per unit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import yaml
 from pydantic import Field
 
 from .. import formats
-from ..documents import StrictRecord, load
-from ..recording.column_map import ColumnMap, MappedColumn
+from ..documents import StrictRecord, check, load
+from ..importing.candidates import DeclaredColumn, Hints
 
 Count = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -72,20 +74,32 @@ class DriveFacts(StrictRecord):
             return self.position_lsb_rev
         return None if self.resolver_bits is None else 1.0 / (1 << self.resolver_bits)
 
-    def column_map(self) -> ColumnMap | None:
-        """How to read a table; None: by the names of its columns."""
-        if self.columns is None:
-            return None
-        entries = [
-            MappedColumn(fact, signal)
+    def hints(self) -> Hints:
+        """What a reader of logs is told beforehand."""
+        columns = tuple(
+            DeclaredColumn(fact, signal)
             if isinstance(fact, str)
-            else MappedColumn(fact.column, signal, fact.unit, fact.scale, fact.offset)
-            for signal, fact in self.columns.items()
-        ]
-        timed = "time_s" in self.columns
-        return ColumnMap(tuple(entries), None if timed else self.sample_rate_hz, self.units == "linear")
+            else DeclaredColumn(fact.column, signal, fact.unit, fact.scale, fact.offset)
+            for signal, fact in (self.columns or {}).items()
+        )
+        return Hints(self.sample_rate_hz, pole_pairs=self.pole_pairs, linear=self.units == "linear", columns=columns)
 
 
 def read_facts(path: str | Path) -> DriveFacts:
     """Read and check a file of declared facts. Raises DocumentError with every error in it."""
     return load(path, DriveFacts)
+
+
+def facts_of(declared: Mapping[str, Any], linear: bool) -> DriveFacts:
+    """The facts of a log of another program: `declared` by the user, a torque constant of one where none is.
+
+    Raises DocumentError with everything that cannot be declared so.
+    """
+    given = {"torque_constant_nm_per_a": 1.0} | {key: value for key, value in declared.items() if value is not None}
+    return check(given | ({"units": "linear"} if linear else {}), DriveFacts, "what is declared")
+
+
+def facts_text(facts: DriveFacts) -> str:
+    """The facts as a file that `--drive` takes."""
+    content = {"format": formats.FACTS.word, **facts.model_dump(exclude_defaults=True)}
+    return yaml.safe_dump(content, sort_keys=False)

@@ -18,10 +18,10 @@ import numpy as np
 import scipy  # its modules load where they are first used: together they take a second
 
 from ..arrays import Floats, Mask
-from ..recording.table import GAP_PERIODS
 
 COMMAND = "current_command_a"
 POSITIONS = ("position_rev", "reference_position_rev")
+GAP_PERIODS = 1.5  # a step in time beyond this many median periods is a gap
 LONGEST_BRIDGE_S = 0.02  # longer gaps are not bridged: after a 40 Hz filter no real data would be left
 ON_GRID = 0.05  # periods: a stamp this close to a grid point is taken as that grid point
 ANTI_ALIAS = 0.4  # cut-off over the new rate when a log is decimated

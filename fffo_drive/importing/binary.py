@@ -6,6 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,7 @@ def read_parquet(path: Path) -> Source:
     except (pyarrow.ArrowInvalid, OSError) as error:
         raise RecordingError(f"{path}: not a readable Parquet or Feather file: {error}") from error
     columns: dict[str, Any] = {}
-    remarks = [f"left out: {name!r} holds no numbers" for name in schema.names if name not in read]
+    left = {name: "holds no numbers" for name in schema.names if name not in read}
     for name in read:
         column = table.column(name)
         if not _is_list(column.type):
@@ -144,12 +145,12 @@ def read_parquet(path: Path) -> Source:
             continue
         matrix = _matrix(column)
         if matrix is None:
-            remarks.append(f"left out: {name!r} holds lists of unequal or great length")
+            left[name] = "holds lists of unequal or great length"
         else:
             columns |= {f"{name}[{k}]" if matrix.shape[1] > 1 else name: values for k, values in enumerate(matrix.T)}
     names, period_s = declared_names(path)
-    source = source_of_arrays(path, columns, tuple(remarks), period_s)
-    return with_joints(source, names)
+    source = source_of_arrays(path, columns, period_s=period_s)
+    return with_joints(replace(source, left={**left, **source.left}), names)
 
 
 def _is_list(kind: Any) -> bool:
@@ -169,17 +170,14 @@ def _holds_no_numbers(kind: Any) -> bool:
 
 
 def _matrix(column: Any) -> Any:
-    """Lists of one length as numbers (rows, length), NaN where there is none; None for lists of several lengths."""
+    """Lists of one length as numbers (rows, length); None for others."""
     from pyarrow import compute
 
     whole = column.combine_chunks()
-    given = whole.is_valid().to_numpy(zero_copy_only=False)
-    lengths = compute.unique(compute.list_value_length(whole.filter(whole.is_valid()))).to_pylist()
-    if len(lengths) != 1 or not 0 < lengths[0] <= LONGEST_LIST:
+    lengths = compute.unique(compute.list_value_length(whole)).to_pylist()
+    if len(lengths) != 1 or lengths[0] is None or not 0 < lengths[0] <= LONGEST_LIST:
         return None
-    found = np.full((given.size, lengths[0]), np.nan)
-    found[given] = compute.list_flatten(whole).to_numpy(zero_copy_only=False).reshape(-1, lengths[0])
-    return found
+    return compute.list_flatten(whole).to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, lengths[0])
 
 
 def _check_size(path: Path, size_bytes: int) -> None:

@@ -39,7 +39,16 @@ from ..drive.canopen.reported_units import MILLI, reported_units, unit_remarks
 from ..recording.errors import RecordingError
 from .can_frames import Frames, Ints, read_frames
 from .can_objects import Stretch, longest_stretch, nodes_of, numbers_of, pdos_of
-from .candidates import COMMAND_A, CURRENT_A, POSITION_REV, REFERENCE_RPS, SETPOINT_REV, TIME_S, VELOCITY_RPS
+from .candidates import (
+    COMMAND_A,
+    CURRENT_A,
+    POSITION_REV,
+    REFERENCE_RPS,
+    SETPOINT_REV,
+    TIME_S,
+    VELOCITY_RPS,
+    AnswerNeededError,
+)
 from .evidence import at_stamps, says_nothing
 from .source import Source, TraceDrive
 
@@ -88,7 +97,7 @@ MISSING = (
 )
 
 
-class NodeNeededError(RecordingError):
+class NodeNeededError(AnswerNeededError):
     """Several nodes are in a trace, and nobody said which: `TraceDrive.node` does."""
 
 
@@ -167,7 +176,8 @@ def _node(path: Path, kind: str, frames: Frames, drive: TraceDrive) -> tuple[int
         raise RecordingError(f"{path}: a trace of a CAN bus ({kind}): {listed}")
     if len(there) > 1:
         raise NodeNeededError(
-            f"{path}: a trace of a CAN bus ({kind}); {listed}: say which with --node, such as --node {told[0]}"
+            f"{path}: a trace of a CAN bus ({kind}); {listed}: say which with --node, such as --node {told[0]}",
+            "--node ID",
         )
     return there[0]
 
@@ -255,7 +265,9 @@ class _Reader:
             own = replace(self.drive.config, node_id=self.node, master_id=127 if self.node != 127 else 126)
             able.append((self.drive.said or "the profile", [own.command], list(own.answers)))
         if not able:
-            raise RecordingError(f"{self.path}: a trace of a CAN bus ({self.kind}), node {self.node}: {MISSING}")
+            raise AnswerNeededError(
+                f"{self.path}: a trace of a CAN bus ({self.kind}), node {self.node}: {MISSING}", "--eds FILE"
+            )
         problems = []
         for said, rpdos, tpdos in able:
             wrong = [*self._misfits(tpdos, "TPDO"), *self._misfits(rpdos, "RPDO")]

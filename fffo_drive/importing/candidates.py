@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from ..arrays import Floats
 from ..documents import did_you_mean
@@ -51,7 +51,29 @@ RECOGNISED = (
     TEMPERATURE_DEGC,
 )
 MOST_LISTED = 40  # columns in a message
+ROLES = {  # options of `import` that say which column is a signal
+    "time": TIME_S, "position": POSITION_REV, "velocity": VELOCITY_RPS, "command": COMMAND_A, "current": CURRENT_A,
+    "reference": REFERENCE_RPS, "setpoint": SETPOINT_REV, "reference_encoder": ENCODER_REV,
+}  # fmt: skip
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
+
+
+class AnswerNeededError(RecordingError):
+    """A log about which only its user can say more; `options`: of `import`, that say it."""
+
+    def __init__(self, text: str, options: str = "") -> None:
+        super().__init__(text)
+        self.options = options
+
+
+class DeclaredColumn(NamedTuple):
+    """`column` of a file, times `scale`, plus `offset`, is `signal` in `unit` (None: the signal's own)."""
+
+    column: str
+    signal: str
+    unit: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,10 +89,11 @@ class Hints:
     units: Mapping[str, str] = field(default_factory=dict)  # column -> unit
     drive: TraceDrive | None = None  # whose PDOs a trace of a CAN bus holds
     joint: str | None = None  # of a robot's log: a name, a number, or all of them
+    columns: tuple[DeclaredColumn, ...] = ()  # all that are read, where they are given: nothing is recognised
 
 
 class Guess(NamedTuple):
-    """One column as a signal of ours: value = raw * factor, once wraps are undone."""
+    """One column as a signal of ours: value = raw * factor + shift, once wraps are undone."""
 
     signal: str
     column: str
@@ -80,6 +103,7 @@ class Guess(NamedTuple):
     register: Register | None  # of a signed number that is stored without its sign
     evidence: str
     sure: bool  # False: an assumption
+    shift: float = 0.0
 
 
 class Recognition(NamedTuple):
@@ -139,11 +163,14 @@ class Candidates:
         used = {guess.column for guess in self.guesses.values()}
         return [c for c in self.columns.values() if c.name not in used]
 
-    def _refuse(self, what: str, how: str) -> None:
+    def _refuse(self, what: str, how: str, error: type[AnswerNeededError] = AnswerNeededError) -> NoReturn:
         names = list(self.source.columns)
         more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
         listed = ", ".join(map(repr, names[:MOST_LISTED])) + more
-        raise RecordingError(f"{self.source.path}: {what} can be seen among the columns {listed}: say it with {how}")
+        raise error(
+            f"{self.source.path}: {what} can be seen among the columns {listed}: say it with {how}",
+            how.rpartition(" or ")[2],
+        )
 
     def _hinted(self, signal: str) -> Column | None:
         name = self.hints.roles.get(signal)

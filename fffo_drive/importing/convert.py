@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from ..arrays import Floats
-from ..documents import check
-from ..formats import FACTS
-from ..identification.dataset import DataError, record_of_columns
-from ..identification.facts import DriveFacts
 from ..recording.container import ChunkBuilder, McapFile, record_bytes
 from ..recording.errors import RecordingError
 from ..recording.schema import (
@@ -42,6 +37,7 @@ from .candidates import (
     SETPOINT_REV,
     TIME_S,
     VELOCITY_RPS,
+    AnswerNeededError,
     Guess,
     Recognition,
 )
@@ -51,6 +47,7 @@ from .source import Source
 FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
+MOST_LEFT_OUT = 0.01  # of the rows of a run, without `drop`
 WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV, TEMPERATURE.name)
 
 
@@ -62,21 +59,27 @@ class Converted(NamedTuple):
     left_out: int = 0  # rows that miss a number, or whose stamp is not later than all before
 
 
-def converted(source: Source, found: Recognition) -> Converted:
+def converted(source: Source, found: Recognition, drop: bool = True, from_zero: bool = True) -> Converted:
     """All signals in our units, wraps undone, rows without a time or a number left out (they are gaps).
 
-    Raises RecordingError where nothing is left.
+    `drop`: however many. `from_zero`: the time, else on the clock of the log. Raises RecordingError where nothing is
+    left, AnswerNeededError for more rows than MOST_LEFT_OUT.
     """
     columns = {guess.signal: _values(source, guess) for guess in found.guesses}
-    remarks = [*source.remarks, *found.remarks]
+    remarks = [*source.remarks, *(f"left out: {name!r} {why}" for name, why in source.left.items()), *found.remarks]
     if found.period_s is not None:
-        columns[TIME_S] = np.arange(source.rows, dtype=np.float64) * found.period_s
+        columns[TIME_S] = np.arange(source.rows, dtype=np.float64) / (1.0 / found.period_s)
     if TEMPERATURE.name in columns:  # logged as it changes
         columns[TEMPERATURE.name] = bridged(columns[TEMPERATURE.name])
     usable = np.logical_and.reduce([np.isfinite(values) for values in columns.values()])
     left_out = int((~usable).sum())
     if not usable.all():
-        remarks.append(f"{int((~usable).sum())} of {usable.size} rows miss a number and are left out: they are gaps")
+        first = int(np.argmin(usable))
+        miss = next(guess.column for guess in found.guesses if not np.isfinite(columns[guess.signal][first]))
+        remarks.append(
+            f"{left_out} of {usable.size} rows miss a number and are left out: they are gaps; the first is "
+            f"{source.place(first)}, column {miss!r}"
+        )
     if found.enable is not None:
         on = np.nan_to_num(source.columns[found.enable]) > 0.5
         if on.any() and not on.all():
@@ -87,13 +90,25 @@ def converted(source: Source, found: Recognition) -> Converted:
             usable &= inside
     time_s = np.where(usable, columns[TIME_S], -np.inf)
     later = usable & np.concatenate([[True], time_s[1:] > np.maximum.accumulate(time_s)[:-1]])
-    left_out += int((usable & ~later).sum())
-    if (usable & ~later).any():
-        remarks.append(f"{int((usable & ~later).sum())} rows whose stamp is not later than all before are left out")
+    late = usable & ~later
+    left_out += int(late.sum())
+    if late.any():
+        remarks.append(
+            f"{int(late.sum())} rows whose stamp is not later than all before are left out, the first is "
+            f"{source.place(int(np.argmax(late)))}"
+        )
     if later.sum() < 2:
         raise RecordingError(f"{source.path}: no two rows hold a number in all of {', '.join(columns)}")
+    if left_out > MOST_LEFT_OUT * source.rows and not drop:
+        why = "; ".join(remark for remark in remarks if "left out" in remark and "row" in remark)
+        raise AnswerNeededError(
+            f"{source.said}: {100.0 * left_out / source.rows:.3g} % of its rows would be left out ({why}): "
+            "--drop accepts that",
+            "--drop",
+        )
     columns = {name: np.ascontiguousarray(values[later]) for name, values in columns.items()}
-    columns[TIME_S] = columns[TIME_S] - columns[TIME_S][0]
+    if from_zero:
+        columns[TIME_S] = columns[TIME_S] - columns[TIME_S][0]
     setpoint = columns.pop(SETPOINT_REV, None)
     if setpoint is not None and REFERENCE_RPS not in columns:
         columns[REFERENCE_RPS] = np.gradient(setpoint, columns[TIME_S])
@@ -103,64 +118,25 @@ def converted(source: Source, found: Recognition) -> Converted:
     return Converted(columns, tuple(remarks), left_out)
 
 
-def usable(name: str, log: Converted, found: Recognition) -> Converted:
-    """The log without its velocity, where that keeps it from a fit and the position does not."""
-    if VELOCITY_RPS not in log.columns or POSITION_REV not in log.columns:
-        return log
-    facts = facts_of(found, {})
-    try:
-        record_of_columns(name, log.columns, facts)
-    except DataError as error:
-        rest = {key: values for key, values in log.columns.items() if key != VELOCITY_RPS}
-        try:
-            record_of_columns(name, rest, facts)
-        except DataError:
-            return log
-        reason = str(error).removeprefix(f"{name}: ")
-        return log._replace(
-            columns=rest,
-            remarks=(*log.remarks, f"the velocity is left out, it contradicts the position: {reason}"),
-        )
-    return log
-
-
 def _values(source: Source, guess: Guess) -> Floats:
     raw = signed(source.columns[guess.column], guess.register)
     if guess.wrap is not None:
         raw = unwrapped(raw, guess.wrap)
-    return np.asarray(raw * guess.factor)
+    if (guess.factor, guess.shift) == (1.0, 0.0):
+        return raw
+    return np.asarray(raw * guess.factor + guess.shift)
 
 
-def facts_of(found: Recognition, declared: Mapping[str, Any]) -> DriveFacts:
-    """The facts of a recognised log: `declared` by the user, a torque constant of one where none is.
-
-    Raises DocumentError with everything that cannot be declared so.
-    """
-    given = {key: value for key, value in declared.items() if value is not None}
-    if found.linear:
-        given["units"] = "linear"
-    given.setdefault("torque_constant_nm_per_a", 1.0)
-    return check(given, DriveFacts, "what is declared")
-
-
-def write_facts(path: Path, facts: DriveFacts) -> None:
-    """The facts as a file that `--drive` takes."""
-    path.write_text(_facts_text(facts), encoding="utf-8")
-
-
-def _facts_text(facts: DriveFacts) -> str:
-    content = {"format": FACTS.word, **facts.model_dump(exclude_defaults=True)}
-    return yaml.safe_dump(content, sort_keys=False)
-
-
-def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts, assumed: Sequence[str] = ()) -> None:
-    """The log as a recording of ours: rows at the stamps of the log, with the facts and what was `assumed` inside."""
+def write_recording(
+    path: Path, source: Path, log: Converted, facts: str, linear: bool, assumed: Sequence[str] = ()
+) -> None:  # fmt: skip
+    """The log as a recording of ours: rows at the stamps of the log, with the `facts` (YAML) and what was `assumed`."""
     names = [name for name in WRITTEN if name in log.columns]
     by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)}
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
     for name in names:
         own = by_name[name]
-        unit = unit_on(own.unit, facts.units == "linear")
+        unit = unit_on(own.unit, linear)
         signals.append(Signal(name, own.dtype, unit, own.meaning))
     stamps = np.round(log.columns[TIME_S] * NS_PER_S).astype(np.int64)
     rows = np.empty(stamps.size, [(s.name, s.dtype) for s in signals])
@@ -178,7 +154,7 @@ def write_recording(path: Path, source: Path, log: Converted, facts: DriveFacts,
     with path.open("xb") as file:
         mcap = McapFile(file, PROFILE, LIBRARY)
         mcap.add_metadata(METADATA_NAME, metadata)
-        mcap.add_attachment(FACTS_NAME, YAML_TYPE, _facts_text(facts).encode())
+        mcap.add_attachment(FACTS_NAME, YAML_TYPE, facts.encode())
         for begin in range(0, stamps.size, CHUNK_ROWS):
             chunk = ChunkBuilder()
             for record in (schema, channel):

@@ -301,7 +301,7 @@ def is_flag(values: Floats) -> bool:
 def says_nothing(values: Floats) -> bool:
     """All missing, or one number throughout."""
     given = values[np.isfinite(values)]
-    return given.size < 2 or float(np.ptp(given)) == 0.0
+    return given.size < 2 or bool(given.min() == given.max())
 
 
 def bridged(values: Floats) -> Floats:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from ..arrays import Floats
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
-from .candidates import POSITION_REV, SETPOINT_REV
+from .candidates import POSITION_REV, SETPOINT_REV, AnswerNeededError
 from .evidence import bridged, relation
 from .names import POSITION, VELOCITY, meaning_of
 from .source import Source
@@ -42,11 +43,11 @@ _OF_JOINT = re.compile(  # shoulder_pan.pos
 )
 
 
-class JointNeededError(RecordingError):
+class JointNeededError(AnswerNeededError):
     """A log has several joints, and nobody said which: `Hints.joint` does. `joint`: one of them."""
 
     def __init__(self, text: str, joint: str) -> None:
-        super().__init__(text)
+        super().__init__(text, f"--joint {shlex.quote(joint)}")
         self.joint = joint
 
 
@@ -106,7 +107,7 @@ def chosen(sources: Sequence[Source], wanted: str | None) -> dict[str, list[Sour
     joints = list(dict.fromkeys(joint for source in sources for joint in source.joints))
     if not joints:
         if wanted is not None:
-            raise RecordingError(f"{sources[0].path}: --joint {wanted}: nothing in it has a number for each joint")
+            raise RecordingError(f"{sources[0].path}: --joint {wanted}: it has no vectors with a number a joint")
         return {"": list(sources)}
     if wanted == ALL:
         names = joints
@@ -205,7 +206,7 @@ def _flat(names: Any) -> list[str]:
 def episodes_of(source: Source) -> list[Source]:
     """The episodes that one file of a dataset holds, each as a run."""
     numbers = source.columns.get(EPISODE)
-    if numbers is None or not np.isfinite(numbers).all():
+    if numbers is None:
         return [source]
     cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), source.rows]
     if len(cuts) == 2:

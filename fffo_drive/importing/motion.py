@@ -8,8 +8,7 @@ import re
 import numpy as np
 
 from ..arrays import Floats
-from ..recording.errors import RecordingError
-from .candidates import ENCODER_REV, POSITION_REV, VELOCITY_RPS, Column, Guess
+from .candidates import ENCODER_REV, POSITION_REV, VELOCITY_RPS, AnswerNeededError, Column, Guess
 from .evidence import (
     Wrap,
     bridged,
@@ -174,8 +173,10 @@ class Motions(Times):
             return whole, f"{whole:g} counts a turn, by {velocity.name!r} in {velocity.unit}"
         if wrap is not None:
             return wrap, ""
-        raise RecordingError(
-            f"{self.source.path}: the position is in counts, and nothing says how many make a turn: --counts-per-turn N"
+        raise AnswerNeededError(
+            f"{self.source.path}: the position is in counts, and nothing says how many make a turn: "
+            "--counts-per-turn N",
+            "--counts-per-turn N",
         )
 
     def _angle_unit(self, wrap: float | None, velocity: Column | None, slope: float | None) -> tuple[str, str, bool]:
@@ -184,17 +185,19 @@ class Motions(Times):
             if wrap is not None and any(abs(wrap / (k * turn) - 1.0) < 1e-6 for k in (1, 2)):
                 return unit, f"{unit}, because it wraps at {wrap:.6g}", True
         if wrap is not None and wrap >= 256.0:
-            raise RecordingError(
+            raise AnswerNeededError(
                 f"{self.source.path}: the position looks like counts (it wraps at {wrap:g}): "
-                "--counts-per-turn N, and --unit COLUMN=counts"
+                "--counts-per-turn N, and --unit COLUMN=counts",
+                "--counts-per-turn N",
             )
         if velocity is not None and self._known(velocity, SPEED) and slope:
             turn = 1.0 / (self._factor(velocity.unit) * abs(slope))  # of the position's own unit
             found = next((u for u, size in ANGLE_UNITS.items() if abs(turn / size - 1.0) < SLOPE_TOLERANCE), None)
             if found is None:
-                raise RecordingError(
+                raise AnswerNeededError(
                     f"{self.source.path}: a turn is {turn:.5g} of the position's unit by {velocity.name!r} in "
-                    f"{velocity.unit}: say --counts-per-turn {likely_counts(turn):g}, or the unit of one of them"
+                    f"{velocity.unit}: say --counts-per-turn {likely_counts(turn):g}, or the unit of one of them",
+                    f"--counts-per-turn {likely_counts(turn):g}",
                 )
             return found, f"{found}, by {velocity.name!r} in {velocity.unit}", True
         if slope and velocity is not None and velocity.unit != ELECTRIC:
@@ -268,8 +271,9 @@ class Motions(Times):
         known = slope is not None and self.guesses[POSITION_REV].sure
         pairs = abs(slope or 0.0) * UNITS[ELECTRIC].factor / self.guesses[POSITION_REV].factor if known else 0.0
         if round(pairs) < 1 or abs(pairs / round(pairs) - 1.0) > SLOPE_TOLERANCE:
-            raise RecordingError(
-                f"{self.source.path}: column {column.name!r} is in electrical turns a minute: give --pole-pairs N"
+            raise AnswerNeededError(
+                f"{self.source.path}: column {column.name!r} is in electrical turns a minute: give --pole-pairs N",
+                "--pole-pairs N",
             )
         factor = math.copysign(UNITS[ELECTRIC].factor / round(pairs), slope or 1.0)
         self.guesses[VELOCITY_RPS] = Guess(

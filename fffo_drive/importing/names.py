@@ -15,11 +15,13 @@ from typing import NamedTuple
 from ..arrays import Floats
 from .evidence import wrap_of
 from .units import (
+    ACCELERATION,
     ANGLE,
     COUNT,
     CURRENT,
     FORCE,
     LENGTH,
+    LINEAR_ACCELERATION,
     PACE,
     SHARE,
     SPEED,
@@ -31,7 +33,7 @@ from .units import (
     turn_of,
 )
 
-POSITION, VELOCITY, ACCELERATION, ENABLE = "position", "velocity", "acceleration", "enable"
+POSITION, VELOCITY, ENABLE = "position", "velocity", "enable"
 INPUTS = (CURRENT, TORQUE, VOLTAGE)  # what drives the axis, the best first
 
 _WORDS = {
@@ -49,111 +51,37 @@ _WORDS = {
 _DEVICES = {  # what a quantity is of: they name one where nothing else does
     POSITION: "q encoder enc resolver qm rotor tachometer",
 }
-_RATES = set(["dot", "rate", "deriv", "derivative", "punkt"])  # of a position: its velocity
+
+
+def _listed(words: str) -> set[str]:
+    return set(words.split())
+
+
+_RATES = _listed("dot rate deriv derivative punkt")  # of a position: its velocity
 _QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
 _DEVICE = {word: quantity for quantity, words in _DEVICES.items() for word in words.split()}
-_ASKED = set(
-    [
-        "ref",
-        "reference",
-        "des",
-        "desired",
-        "target",
-        "cmd",
-        "command",
-        "commanded",
-        "set",
-        "setpoint",
-        "soll",
-        "sollwert",
-        "goal",
-        "demand",
-        "demanded",
-        "dmd",
-        "dem",
-        "requested",
-        "request",
-        "req",
-        "setvalue",
-        "sp",
-        "vorgabe",
-        "vorgegeben",
-        "consigne",
-        "consigna",
-        "riferimento",
-        "referencia",
-        "cible",
-        "action",
-    ]
+_ASKED = _listed(
+    "ref reference des desired target cmd command commanded set setpoint soll sollwert goal demand demanded dmd dem "
+    "requested request req setvalue sp vorgabe vorgegeben consigne consigna riferimento referencia cible action"
 )
-_MEASURED = set(
-    [
-        "act",
-        "actual",
-        "meas",
-        "measured",
-        "ist",
-        "istwert",
-        "fb",
-        "feedback",
-        "real",
-        "mess",
-        "messwert",
-        "present",
-        "mesure",
-        "misurata",
-        "medida",
-        "estimate",
-    ]
+_MEASURED = _listed(
+    "act actual meas measured ist istwert fb feedback real mess messwert present mesure misurata medida estimate"
 )
 # of the supply, of a phase, of a model, or of a limit: not what drives the axis
-_ASIDE = set(
-    [
-        "input",
-        "bus",
-        "battery",
-        "dc",
-        "supply",
-        "link",
-        "id",
-        "vd",
-        "ud",
-        "error",
-        "err",
-        "fault",
-        "following",
-        "deviation",
-        "limit",
-        "max",
-        "min",
-        "count",
-        "counter",
-        "index",
-        "alpha",
-        "beta",
-        "ia",
-        "ib",
-        "ic",
-        "predicted",
-        "prediction",
-        "model",
-        "modelled",
-        "modeled",
-        "simulated",
-        "expected",
-    ]
+_ASIDE = _listed(
+    "input bus battery dc supply link id vd ud error err fault following deviation limit max min count counter index "
+    "alpha beta ia ib ic predicted prediction model modelled modeled simulated expected"
 )
-_ELSEWHERE = set(
-    ["mos", "fet", "mosfet", "board", "driver", "inverter", "bridge", "igbt", "ambient", "cpu"]
-)  # a temperature's place
+_ELSEWHERE = _listed("mos fet mosfet board driver inverter bridge igbt ambient cpu")  # a temperature's place
 _OF_UNIT = {
     TIME: TIME, ANGLE: POSITION, LENGTH: POSITION, SPEED: VELOCITY, PACE: VELOCITY, CURRENT: CURRENT, TORQUE: TORQUE,
     FORCE: TORQUE, VOLTAGE: VOLTAGE, TEMPERATURE: TEMPERATURE,
+    ACCELERATION: ACCELERATION, LINEAR_ACCELERATION: ACCELERATION,
 }  # fmt: skip
 _LETTERS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _MOTION = {word for word, of in _QUANTITY.items() if of in (POSITION, VELOCITY)}  # "current speed" is one, now
 _AXES = {"i": CURRENT, "u": VOLTAGE, "v": VOLTAGE}  # i_q, u_q: not the coordinate q
-_FILLERS = set(["motor", "achse", "axis", "joint", "shaft", "wert", "value"])
+_FILLERS = _listed("motor achse axis joint shaft wert value")
 _KNOWN = {*_QUANTITY, *_DEVICE, *_RATES, *_ASKED, *_MEASURED, *_ASIDE, *_FILLERS}
 LEAST_PART = 3  # letters of a word within a compound: "Sollstrom", "thetadot"
 

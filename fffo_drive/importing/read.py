@@ -23,27 +23,45 @@ OTHERS = {b"%PDF": "a PDF", b"\x89PNG": "a picture", b"\xd0\xcf\x11\xe0": "a wor
 BEGIN_BYTES = 1024
 
 
-def read_source(path: Path | str, drive: TraceDrive | None = None) -> Source:
-    """Read one file. `drive`: whose PDOs a trace of a CAN bus holds.
+TEXT_SUFFIXES = tuple(kind + packed for kind in (".csv", ".txt", ".tsv") for packed in ("", ".gz"))
+SUFFIXES = (*TEXT_SUFFIXES, ".mat")  # of tables that are looked for in a directory
+RECORDINGS = (".mcap", ".mcap.part")
+ALL_SUFFIXES = (
+    *RECORDINGS, *SUFFIXES, ".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc",
+    ".trc", ".blf",
+)  # fmt: skip
 
-    Raises RecordingError for what cannot be used, OSError for what cannot be opened."""
+
+def short_name(path: Path) -> str:
+    """The file's name without what says of which kind it is."""
+    suffix = max((s for s in ALL_SUFFIXES if path.name.lower().endswith(s)), key=len, default="")
+    return path.name[: len(path.name) - len(suffix)]
+
+
+def read_source(path: Path | str, drive: TraceDrive | None = None, rows: bool = True) -> Source:
+    """Read one file; without its `rows` where the names of its columns are wanted, and a text gives them in advance.
+
+    `drive`: whose PDOs a trace of a CAN bus holds.
+
+    Raises RecordingError for what cannot be used, OSError for what cannot be opened.
+    """
     path = Path(path)
     with regular(path).open("rb") as file:
         begin = file.read(BEGIN_BYTES)
     if begin.startswith(GZIP):
         with contextlib.suppress(zlib.error):  # what reads it then says so
-            begin = zlib.decompressobj(GZIP_WINDOW_BITS).decompress(begin, BEGIN_BYTES)
+            begin = zlib.decompressobj(GZIP_WINDOW_BITS).decompress(begin, BEGIN_BYTES) or begin
     if not begin:
         raise RecordingError(f"{path}: the file is empty")
     try:
-        return _read(path, begin, drive)
+        return _read(path, begin, drive, rows)
     except ImportError as error:
         raise RecordingError(f"{path}: {error}: {needs_extra('reading it', 'import')}") from error
     except MemoryError as error:
         raise RecordingError(f"{path}: too large for the memory of this machine") from error
 
 
-def _read(path: Path, begin: bytes, drive: TraceDrive | None) -> Source:
+def _read(path: Path, begin: bytes, drive: TraceDrive | None, rows: bool) -> Source:
     from . import binary
 
     suffix = path.suffix.lower()
@@ -72,4 +90,4 @@ def _read(path: Path, begin: bytes, drive: TraceDrive | None) -> Source:
         return binary.read_json(path)
     from .text import read_text
 
-    return read_text(path)
+    return read_text(path, rows)

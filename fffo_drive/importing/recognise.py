@@ -7,12 +7,12 @@ that says so.
 from __future__ import annotations
 
 import math
+import shlex
 
 import numpy as np
 
 from ..arrays import Floats
 from ..documents import did_you_mean
-from ..recording.errors import RecordingError
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
@@ -22,6 +22,7 @@ from .candidates import (
     SETPOINT_REV,
     TEMPERATURE_DEGC,
     VELOCITY_RPS,
+    AnswerNeededError,
     Column,
     Guess,
     Hints,
@@ -81,7 +82,7 @@ class _Recogniser(Motions):
         if position is None and velocity is None:
             position = self._pick(POSITION_REV, POSITION, asked=True)
         if position is None and velocity is None:
-            self._refuse("neither a position nor a velocity", "--position COLUMN or --velocity COLUMN")
+            self._refuse("neither a position nor a velocity", "--velocity COLUMN or --position COLUMN")
         self._motion_units(position, velocity)
         self._reference_encoder()
         self._references()
@@ -100,9 +101,10 @@ class _Recogniser(Motions):
         for name in dict.fromkeys(guess.column for guess in self.guesses.values()):
             text = None if self.columns[name].unit else unknown_unit(name)
             if text is not None:
-                raise RecordingError(
+                raise AnswerNeededError(
                     f"{self.source.path}: column {name!r}: unknown unit {text!r} (say it with --unit "
-                    f"'{name}=UNIT'): {did_you_mean(text, UNITS)}"
+                    f"'{name}=UNIT'): {did_you_mean(text, UNITS)}",
+                    f"--unit {shlex.quote(f'{name}=UNIT')}",
                 )
 
     def _tell_registers_and_doubts(self) -> None:

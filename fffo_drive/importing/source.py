@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ..drive.canopen.config import CanopenDriveConfig
 
 LEAST_ROWS = 2
+SHORT = 0.01  # of the longest vector: gains and limits that came with a log, not samples
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Source:
     units: dict[str, str] = field(default_factory=dict)  # as the file writes them
     period_s: float | None = None  # where the file declares it
     scalars: dict[str, float] = field(default_factory=dict)  # single numbers that came with the data
-    remarks: tuple[str, ...] = ()  # what was left out, and why
+    remarks: tuple[str, ...] = ()  # what became of some rows
+    left: Mapping[str, str] = field(default_factory=dict)  # columns that are none of numbers: why
+    first_line: int = 0  # of a text in which each line after it is a row; 0: of any other file
     run: int = 0  # of several in one file, from 1; 0: the only one
     roles: dict[str, str] = field(default_factory=dict)  # signal -> column, where the file itself says which is which
     doubts: dict[str, str] = field(default_factory=dict)  # column -> why its scale is an assumption
@@ -69,9 +72,14 @@ class Source:
         joint = f", {self.joint}" if self.joint else ""
         return f"{self.path}{joint}, run {self.run}" if self.run else f"{self.path}{joint}"
 
+    def place(self, row: int) -> str:
+        """Where a row (from 0) stands, in words."""
+        return f"line {self.first_line + row}" if self.first_line else f"row {row + 1}"
+
     def part(self, rows: slice, run: int) -> Source:
         """Some of the rows, as a run."""
-        return replace(self, columns={name: values[rows] for name, values in self.columns.items()}, run=run)
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return replace(self, columns=columns, run=run, first_line=self.first_line and self.first_line + rows.start)
 
 
 def _with_nothing(objects: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -91,7 +99,7 @@ def source_of_arrays(
     """
     vectors: dict[str, Floats] = {}
     scalars: dict[str, float] = {}
-    left: list[str] = []
+    left: dict[str, str] = {}
     for name, value in arrays.items():
         array = np.asarray(value)
         if array.dtype.kind == "O":
@@ -101,7 +109,7 @@ def source_of_arrays(
         elif array.dtype.kind == "m":
             array = array / np.timedelta64(1, "s")
         if array.dtype.kind not in "biuf":
-            left.append(f"{name!r} holds no numbers")
+            left[name] = "holds no numbers"
         elif array.size == 1:
             scalars[name] = float(array.reshape(()))
         elif array.ndim == 2 and min(array.shape) > 1:
@@ -111,14 +119,15 @@ def source_of_arrays(
         elif max(array.shape, default=0) == array.size:
             vectors[name] = array.ravel().astype(np.float64)
         else:
-            left.append(f"{name!r} has shape {array.shape}")
+            left[name] = f"has shape {array.shape}"
     check_columns(path, len(vectors))
     sizes = [column.size for column in vectors.values() if column.size >= LEAST_ROWS]
     if not sizes:
-        raise RecordingError(f"{path}: no column of numbers in it" + (": " + "; ".join(left) if left else ""))
+        told = "; ".join(f"{name!r} {why}" for name, why in left.items())
+        raise RecordingError(f"{path}: no column of numbers in it" + (f": {told}" if told else ""))
+    sizes = [size for size in sizes if size > SHORT * max(sizes)]
     usual = max(set(sizes), key=lambda size: (sizes.count(size), size))
-    left += [f"{name!r} has {v.size} samples, the others {usual}" for name, v in vectors.items() if v.size != usual]
+    left |= {name: f"has {v.size} samples, the others {usual}" for name, v in vectors.items() if v.size != usual}
     kept = {name: np.ascontiguousarray(column) for name, column in vectors.items() if column.size == usual}
-    all_remarks = (*remarks, *(f"left out: {text}" for text in left))
     units = {name: unit for name in kept if (unit := split_name(name)[1])}
-    return Source(path, kept, units, period_s, scalars, all_remarks)
+    return Source(path, kept, units, period_s, scalars, remarks, left)

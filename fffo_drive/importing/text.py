@@ -10,6 +10,7 @@ import csv
 import datetime
 import io
 import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -42,6 +43,7 @@ FILETIMES = 1e15  # no count of milliseconds is so large
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
 GROUPED = r"^[+-]?\d{1,3}(\.\d{3})+(,\d+)?$"  # thousands with dots, where the decimal sign is a comma
 _GROUPED = re.compile(GROUPED)
+_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
 _CLOCK = re.compile(  # of a day, or pandas' time since the begin
     r"(?:(?P<days>-?\d+) days?,? )?(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?) ?(?P<half>[AP]M)?",
     re.IGNORECASE,
@@ -68,8 +70,8 @@ class Layout(NamedTuple):
     first: int  # line (from 0) where the numbers begin
 
 
-def read_text(path: Path) -> Source:
-    """Read a file of text. Raises RecordingError naming line and column."""
+def read_text(path: Path, rows: bool = True) -> Source:
+    """Read a text; without its `rows` the names of its columns alone. Raises RecordingError naming line and column."""
     text = _text_of(path)
     lines = text[:SAMPLE_CHARACTERS].split("\n", SAMPLE_LINES * 4)[: SAMPLE_LINES * 4]
     if len(lines) > 1 and len(text) > SAMPLE_CHARACTERS:
@@ -83,7 +85,9 @@ def read_text(path: Path) -> Source:
         begin = text.index("\n", begin) + 1
     body = text[begin:]
     del text  # a log of 100 MB is in memory as often as somebody holds it
-    columns, stamps, remarks = _numbers(path, body, layout, names)
+    if not rows:
+        return Source(path, dict.fromkeys(names, np.zeros(0)), units)
+    columns, stamps, remarks, left = _numbers(path, body, layout, names)
     columns = _clocks(columns, stamps)
     units |= {name: "s" for name in stamps if name in columns}
     remarks = unused + remarks
@@ -92,7 +96,9 @@ def read_text(path: Path) -> Source:
         units["time"] = "ms"
         remarks += more
     declared = None if scope else _declared_period_s(head)
-    return Source(path, columns, units, declared, remarks=tuple(remarks))
+    size = body.count("\n") + (not body.endswith("\n"))
+    first_line = layout.first + 1 if next(iter(columns.values())).size == size else 0
+    return Source(path, columns, units, declared, remarks=tuple(remarks), left=left, first_line=first_line)
 
 
 def _text_of(path: Path) -> str:
@@ -117,6 +123,8 @@ def _value(cell: str, decimal: str) -> float | None:
         return float("nan")
     if word in WORDS:
         return WORDS[word]
+    if _HEX.fullmatch(word):
+        return float(int(word, 16))
     plain = cell
     if decimal == ",":
         if "." in cell and not _GROUPED.fullmatch(cell):
@@ -170,18 +178,16 @@ def _clocks(columns: dict[str, Floats], cells: Mapping[str, str]) -> dict[str, F
 
 
 def _layout(lines: Sequence[str], path: Path) -> Layout:
-    """Of all pairs of delimiter and decimal sign, the one that reads the most numbers in lines of one length."""
-    best: tuple[int, Layout] | None = None
-    for decimal in (".", ","):
-        for delimiter in DELIMITERS:
-            if delimiter == decimal:
-                continue
-            found = _read_as(lines, delimiter, decimal)
-            if found is not None and (best is None or found[0] > best[0]):
-                best = found
-    if best is None:
-        raise RecordingError(f"{path}: no lines of numbers in it{_not_understood(lines)}")
-    return best[1]
+    """Of all pairs of delimiter and decimal sign, the one that reads the most numbers in lines of one length.
+
+    Columns of text are looked for only where no line holds numbers alone.
+    """
+    for texts in (False, True):
+        ways = [(decimal, delimiter) for decimal in ".," for delimiter in DELIMITERS if delimiter != decimal]
+        found = [one for decimal, sign in ways if (one := _read_as(lines, sign, decimal, texts)) is not None]
+        if found:
+            return max(found, key=lambda one: one[0])[1]
+    raise RecordingError(f"{path}: no lines of numbers in it{_not_understood(lines)}")
 
 
 def _not_understood(lines: Sequence[str]) -> str:
@@ -196,24 +202,61 @@ def _not_understood(lines: Sequence[str]) -> str:
     return f": in line {near[0][0]} {near[0][1]!r} is neither a number nor a time" if near else ""
 
 
-def _read_as(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[int, Layout] | None:
-    """How many numbers lines hold that have the usual number of cells, and the layout."""
+def _read_as(lines: Sequence[str], delimiter: str, decimal: str, texts: bool) -> tuple[int, Layout] | None:
+    """How many numbers lines hold that have the usual number of cells, and the layout. `texts`: with columns of text,
+    fewer than half of them.
+    """
+    split = [_cells(line, delimiter) if line.strip() else [] for line in lines]
+    rows = [[_value(cell, decimal) for cell in cells] for cells in split]
+    if texts:
+        rows = _without_texts(split, rows)
     numbers: list[int] = []
     sizes: list[int] = []
-    for line in lines:
-        cells = _cells(line, delimiter) if line.strip() else []
-        values = [_value(cell, decimal) for cell in cells]
-        whole = bool(cells) and all(v is not None for v in values) and any(v == v for v in values)
+    for values in rows:
+        whole = bool(values) and all(v is not None for v in values) and any(v == v for v in values)
         numbers.append(sum(v == v for v in values) if whole else 0)
-        sizes.append(len(cells) if whole else 0)
+        sizes.append(len(values) if whole else 0)
     counted = [size for size in sizes if size]
     if not counted:
         return None
     usual = max(set(counted), key=counted.count)
     own = [k for k, size in enumerate(sizes) if size == usual]
-    # a line of metadata may hold numbers alone: the table begins where two such lines follow one another
-    first = next((k for k, after in itertools.pairwise(own) if not any(lines[k + 1 : after])), own[0])
+    # a line of metadata may hold numbers alone: the table begins under names, or where two such lines come together
+    first = next(
+        (
+            k
+            for k, after in itertools.pairwise(own)
+            if not any(lines[k + 1 : after]) or _are_names(lines, k, usual, delimiter)
+        ),
+        own[0],
+    )
     return sum(numbers[k] for k in own if k >= first), Layout(delimiter, decimal, usual, first)
+
+
+def _without_texts(split: list[list[str]], rows: list[list[float | None]]) -> list[list[float | None]]:
+    """The rows with nothing in place of a column of text: one that is no number in most rows of the usual length.
+
+    Few words come again and again; of other text each cell may be a stamp that is not understood.
+    """
+    some = [k for k, row in enumerate(rows) if any(value is not None for value in row)]
+    usual = Counter(len(rows[k]) for k in some).most_common(1)[0][0] if some else 0
+    own = [k for k in some if len(rows[k]) == usual]
+    texts = {k for k in range(usual) if 2 * sum(rows[row][k] is None for row in own) > len(own)}
+    texts = {k for k in texts if 2 * len({split[row][k] for row in own}) <= len(own)}
+    if not 0 < 2 * len(texts) < usual:
+        return rows
+    return [
+        [math.nan if k in texts else value for k, value in enumerate(row)]
+        if len(row) == usual and any(value is not None for value in row)
+        else row
+        for row in rows
+    ]
+
+
+def _are_names(lines: Sequence[str], row: int, cells: int, delimiter: str) -> bool:
+    """Whether the line above a row has as many cells, none of which is a number."""
+    above = _cells(lines[row - 1], delimiter) if row else []
+    return len(above) == cells > 1 and all(_value(cell, sign) is None for cell in above for sign in ".,")
 
 
 def _names(head: Sequence[str], row: str, layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
@@ -235,7 +278,7 @@ def _names(head: Sequence[str], row: str, layout: Layout) -> tuple[list[str], di
     written = rows[0] if rows else [""] * layout.cells
     if rows and _are_units(rows[0]):
         units = [unit_of(cell) for cell in rows[0]]
-        written = rows[1] if len(rows) > 1 else [""] * layout.cells
+        written = rows[-1]
     names: list[str] = []
     for k, cell in enumerate(written):
         name, unit = split_name(cell)
@@ -297,10 +340,13 @@ def _declared_period_s(head: Sequence[str]) -> float | None:
 
 def _numbers(
     path: Path, body: str, layout: Layout, names: Sequence[str]
-) -> tuple[dict[str, Floats], dict[str, str], list[str]]:
-    """All columns below the head, a cell of each that holds dates or times of day, and what was left out."""
-    import pyarrow
-    from pyarrow import csv as parser
+) -> tuple[dict[str, Floats], dict[str, str], list[str], dict[str, str]]:
+    """All columns below the head, a cell of each that holds dates or times of day; remarks, and columns left out."""
+    try:
+        import pyarrow
+        from pyarrow import csv as parser
+    except ImportError:
+        return dict(zip(names, _plain_numbers(body, layout), strict=True)), {}, [], {}
 
     if layout.delimiter == " ":
         body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
@@ -342,15 +388,9 @@ def _numbers(
             f"{path}, line {_first_short(body, layout) + 1}: {short} of {rows + short} lines do not have "
             f"{layout.cells} cells"
         )
-    remarks = (
-        [
-            f"left out: {counted(short, 'line')} without {layout.cells} cells, the first is line "
-            f"{_first_short(body, layout) + 1}"
-        ]
-        if short
-        else []
-    )
+    remarks = [_said_of_short(short, body, layout)] if short else []
     found: dict[str, Floats] = {}
+    left: dict[str, str] = {}
     stamps: dict[str, str] = {}
     headings = _repeated(table, labels, names)
     if headings.any():
@@ -365,8 +405,8 @@ def _numbers(
             place = f"line {_line_of(body, layout, int(unreadable[0])) + 1}, column {name!r}"
             cell = table.column(label)[int(unreadable[0])].as_py()
             if unreadable.size > MOST_UNREADABLE * rows:
-                if unreadable.size == rows:
-                    remarks.append(f"left out: column {name!r} holds text")
+                if np.isnan(values).all():
+                    left[name] = "holds text"
                     continue
                 raise RecordingError(
                     f"{path}, {place}: {cell!r} is not a number, and {unreadable.size - 1} more like it"
@@ -378,7 +418,25 @@ def _numbers(
         found[name] = values
     if not found:
         raise RecordingError(f"{path}: no column of numbers in it")
-    return found, {name: cell for name, cell in stamps.items() if name in found}, remarks
+    return found, {name: cell for name, cell in stamps.items() if name in found}, remarks, left
+
+
+def _plain_numbers(body: str, layout: Layout) -> Floats:
+    """All columns (columns, n) without pyarrow: of numbers alone. Raises ImportError for any other text."""
+    plain = body.replace(",", ".") if layout.decimal == "," else body
+    delimiter = None if layout.delimiter == " " else layout.delimiter
+    try:
+        return np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments=None, ndmin=2, unpack=True)
+    except ValueError:
+        raise ImportError("it holds more than rows of numbers") from None
+
+
+def _said_of_short(count: int, body: str, layout: Layout) -> str:
+    """What is said of lines without all cells: the last one is that of a program that was stopped."""
+    first = _first_short(body, layout)
+    if count == 1 and first == layout.first + body.rstrip().count("\n"):
+        return "the last line ends in the middle and is left out"
+    return f"left out: {counted(count, 'line')} without {layout.cells} cells, the first is line {first + 1}"
 
 
 def _repeated(table: Any, labels: Sequence[str], names: Sequence[str]) -> npt.NDArray[np.bool_]:

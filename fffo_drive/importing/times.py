@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Floats
-from ..recording.errors import RecordingError
-from .candidates import POSITION_REV, TIME_S, VELOCITY_RPS, Candidates, Column, Guess, Hints
+from .candidates import POSITION_REV, TIME_S, VELOCITY_RPS, AnswerNeededError, Candidates, Column, Guess, Hints
 from .evidence import (
     DAY_S,
     begins_anew,
@@ -41,7 +40,7 @@ SLOPE_TOLERANCE = 0.05
 NICE_RATE = 0.005  # how far a rate from a motion may be from a round one
 
 
-class RateNeededError(RecordingError):
+class RateNeededError(AnswerNeededError):
     """Nothing in a log says how fast it was sampled: `Hints.rate_hz` does."""
 
 
@@ -70,9 +69,10 @@ class Times(Candidates):
             return self._rate_without_time(found)
         steps = np.abs(np.diff(found.values[np.isfinite(found.values)]))
         if not float(np.mean(steps > 0.0) if steps.size else 0.0) > LEAST_STEPPING:
-            raise RecordingError(
+            raise RateNeededError(
                 f"{self.source.path}: column {found.name!r} repeats in most rows, the stamps are rounded: "
-                "give --rate HZ"
+                "give --rate HZ",
+                "--rate HZ",
             )
         unit, evidence, sure = self._time_unit(found, float(np.median(steps)))
         wrap = stamp_wrap_of(found.values, DAY_S / UNITS[unit].factor)
@@ -96,13 +96,13 @@ class Times(Candidates):
             self.remarks.append(f"no column of time: {1.0 / declared:.6g} Hz, as the file declares")
             return declared
         if counter is None:
-            self._refuse("no time", "--time COLUMN or --rate HZ")
-        assert counter is not None
+            self._refuse("no time", "--time COLUMN or --rate HZ", RateNeededError)
         rate_hz, pair = self._per_second(np.arange(self.source.rows, dtype=np.float64))
         if rate_hz is None or not PLAUSIBLE_HZ[0] <= rate_hz <= PLAUSIBLE_HZ[1]:
             raise RateNeededError(
                 f"{self.source.path}: {counter.name!r} counts rows and is no time, and nothing else says how many a "
-                "second has: give --rate HZ"
+                "second has: give --rate HZ",
+                "--rate HZ",
             )
         nice = [float(f"{rate_hz:.2g}"), 1e3 / round(1e3 / rate_hz) if rate_hz < 1e3 else rate_hz]
         rate_hz = next((one for one in nice if abs(rate_hz / one - 1.0) < NICE_RATE), rate_hz)

@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 from ..units import S_PER_MIN, TWO_PI
 
-TIME, ANGLE, SPEED, CURRENT, TORQUE, VOLTAGE, LENGTH, PACE, FORCE, SHARE, COUNT, TEMPERATURE = (
-    "time", "angle", "speed", "current", "torque", "voltage", "length", "linear speed", "force", "share", "count",
-    "temperature",
+TIME, ANGLE, SPEED, ACCELERATION, CURRENT, TORQUE, VOLTAGE, LENGTH, PACE, FORCE, SHARE, COUNT, TEMPERATURE = (
+    "time", "angle", "speed", "acceleration", "current", "torque", "voltage", "length", "linear speed", "force",
+    "share", "count", "temperature",
 )  # fmt: skip
+LINEAR_ACCELERATION = "linear acceleration"
 ELECTRIC = "erpm"  # turns of the field in a minute: pole pairs times those of the motor
 
 
 class Unit(NamedTuple):
-    """A unit: what it measures, and how many of ours (s, rev, rps, A, Nm, V, m, m/s, N, 1) it is."""
+    """A unit: what it measures, and how many of ours (s, rev, rps, rps2, A, Nm, V, m, m/s, m/s2, N, 1) it is."""
 
     measures: str
     factor: float
@@ -29,11 +30,13 @@ UNITS = {
     "mrad": Unit(ANGLE, 1e-3 / TWO_PI),
     "rps": Unit(SPEED, 1.0), "rpm": Unit(SPEED, 1.0 / S_PER_MIN), "rad/s": Unit(SPEED, 1.0 / TWO_PI),
     "deg/s": Unit(SPEED, _DEG), ELECTRIC: Unit(SPEED, 1.0 / S_PER_MIN),
+    "rps2": Unit(ACCELERATION, 1.0), "rad/s2": Unit(ACCELERATION, 1.0 / TWO_PI), "deg/s2": Unit(ACCELERATION, _DEG),
     "A": Unit(CURRENT, 1.0), "mA": Unit(CURRENT, 1e-3),
     "Nm": Unit(TORQUE, 1.0), "mNm": Unit(TORQUE, 1e-3), "kNm": Unit(TORQUE, 1e3),
     "V": Unit(VOLTAGE, 1.0), "mV": Unit(VOLTAGE, 1e-3),
     "m": Unit(LENGTH, 1.0), "mm": Unit(LENGTH, 1e-3), "um": Unit(LENGTH, 1e-6),
     "m/s": Unit(PACE, 1.0), "mm/s": Unit(PACE, 1e-3), "mm/min": Unit(PACE, 1e-3 / S_PER_MIN),
+    "m/s2": Unit(LINEAR_ACCELERATION, 1.0), "mm/s2": Unit(LINEAR_ACCELERATION, 1e-3),
     "N": Unit(FORCE, 1.0), "kN": Unit(FORCE, 1e3),
     "%": Unit(SHARE, 1e-2), "permille": Unit(SHARE, 1e-3),
     "counts": Unit(COUNT, 1.0), "degC": Unit(TEMPERATURE, 1.0),
@@ -51,6 +54,11 @@ _SPELLINGS = {
     "rpm": "1/min min-1 u/min rev/min r/min umdr/min tr/min giri/min u/min- rpm. min^-1",
     "rad/s": "rad/sec rads rad.s-1 rad*s-1 rad/s^1 rad_s radps rad/second",
     "deg/s": "°/s deg/sec grad/s degps deg_s degrees/s",
+    "rps2": "rev/s2 rev/s^2 rps^2",
+    "rad/s2": "rad/s^2 rad/s²",
+    "deg/s2": "deg/s^2 °/s2 °/s^2 °/s²",
+    "m/s2": "m/s^2 m/s²",
+    "mm/s2": "mm/s^2 mm/s²",
     "A": "amp amps ampere amperes arms a_rms apk",
     "mA": "milliamp milliampere ma_rms",
     "Nm": "n*m n.m n·m newtonmeter newtonmetre n-m",

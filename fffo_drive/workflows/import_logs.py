@@ -13,12 +13,12 @@ from pydantic import Field
 from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse
 from ..identification.coverage import Coverage, coverage_of
 from ..identification.cyclic import CyclicError, cyclic_error
-from ..identification.dataset import DataError, distinct_names, load_record, one_rate, short_name
-from ..identification.facts import DriveFacts
-from ..importing.candidates import RECOGNISED, Guess, Hints, Recognition
-from ..importing.convert import FACTS_NAME, Converted, converted, facts_of, usable, write_facts, write_recording
+from ..identification.dataset import DataError, distinct_names, load_record, one_rate, record_of_columns
+from ..identification.facts import DriveFacts, facts_of, facts_text
+from ..importing.candidates import POSITION_REV, RECOGNISED, VELOCITY_RPS, Guess, Hints, Recognition
+from ..importing.convert import FACTS_NAME, Converted, converted, write_recording
 from ..importing.joints import chosen, dataset_files, episodes_of
-from ..importing.read import read_source
+from ..importing.read import read_source, short_name
 from ..importing.recognise import recognise
 from ..importing.source import Source
 from ..importing.times import runs_of
@@ -28,20 +28,6 @@ from ..recording.errors import RecordingError
 MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
 COLUMNS_NAME = "columns.png"
-MOST_LEFT_OUT = 0.01  # of the rows of a run, without --drop
-OTHER_SUFFIXES = {
-    ".json",
-    ".npz",
-    ".npy",
-    ".parquet",
-    ".pq",
-    ".feather",
-    ".log",
-    ".dat",
-    ".asc",
-    ".blf",
-    ".trc",
-}
 
 
 class ImportMap(StrictRecord):
@@ -80,14 +66,28 @@ class Imported(NamedTuple):
 def recognised(source: Source, hints: Hints) -> RecognisedLog:
     """Recognise the columns of a log, given the user's hints. Raises RecordingError, also for rows that do not fit."""
     found = recognise(source, hints)
-    log = usable(str(source.path), converted(source, found), found)
-    if log.left_out > MOST_LEFT_OUT * source.rows and not hints.drop:
-        why = "; ".join(remark for remark in log.remarks if "left out" in remark and "row" in remark)
-        raise RecordingError(
-            f"{source.said}: {100.0 * log.left_out / source.rows:.3g} % of its rows would be left out ({why}): "
-            "--drop accepts that"
+    return RecognisedLog(source, found, usable(str(source.path), converted(source, found, hints.drop), found))
+
+
+def usable(name: str, log: Converted, found: Recognition) -> Converted:
+    """The log without its velocity, where that keeps it from a fit and the position does not."""
+    if VELOCITY_RPS not in log.columns or POSITION_REV not in log.columns:
+        return log
+    facts = facts_of({}, found.linear)
+    try:
+        record_of_columns(name, log.columns, facts)
+    except DataError as error:
+        rest = {key: values for key, values in log.columns.items() if key != VELOCITY_RPS}
+        try:
+            record_of_columns(name, rest, facts)
+        except DataError:
+            return log
+        reason = str(error).removeprefix(f"{name}: ")
+        return log._replace(
+            columns=rest,
+            remarks=(*log.remarks, f"the velocity is left out, it contradicts the position: {reason}"),
         )
-    return RecognisedLog(source, found, log)
+    return log
 
 
 def _recognised_runs(runs: Sequence[Source], hints: Hints) -> list[RecognisedLog]:
@@ -229,7 +229,7 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
         raise RecordingError(
             "the logs are from different axes: their inputs have different units; import them one by one"
         )
-    facts = facts_of(found, declared)
+    facts = facts_of(declared, found.linear)
     out.mkdir(parents=True, exist_ok=True)
     names = distinct_names([_plain_name(one.source) for one in logs])
     paths = [out / f"{name.replace('/', '_')}.mcap" for name in names]
@@ -238,8 +238,8 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
         raise RecordingError(f"{taken}: exists already and is not overwritten: give another --out")
     for one, path in zip(logs, paths, strict=True):
         assumed = [f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in one.found.guesses if not g.sure]
-        write_recording(path, one.source.path, one.log, facts, assumed)
-    write_facts(out / FACTS_NAME, facts)
+        write_recording(path, one.source.path, one.log, facts_text(facts), found.linear, assumed)
+    (out / FACTS_NAME).write_text(facts_text(facts), encoding="utf-8")
     _draw_columns(out / COLUMNS_NAME, logs[0])
     (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared), sort_keys=False), encoding="utf-8")
     done = _checked(paths, facts, out)
@@ -260,9 +260,11 @@ def _draw_columns(path: Path, one: RecognisedLog) -> None:
 
 
 def _plain_name(source: Source) -> Path:
-    """The path without the extensions of the file type, with the number of the run where the file holds several."""
-    path = source.path.with_suffix("") if source.path.suffix.lower() in OTHER_SUFFIXES else source.path
-    parts = [short_name(path), source.joint, "" if not source.run else f"run{source.run}"]
+    """The path, with the joint and the number of the run where the file holds several."""
+    path = source.path
+    if not source.joint and not source.run:
+        return path
+    parts = [short_name(path), source.joint, f"run{source.run}" if source.run else ""]
     return path.with_name("_".join(filter(None, parts)).replace("/", "."))
 
 

@@ -10,13 +10,12 @@ from .. import formats
 from ..config.axis import AxisFile
 from ..config.drive_section import CanopenDriveSection, SimulatedDriveSection
 from ..documents import DocumentError, check, did_you_mean, parse, refuse
-from ..identification.dataset import RECORDINGS
 from ..identification.facts import DriveFacts, read_facts
 from ..importing.convert import FACTS_NAME
+from ..importing.read import RECORDINGS, read_source
 from ..model.parameters import ModelFile
 from ..recording.errors import RecordingError
 from ..recording.reader import Run, read_run
-from ..recording.table import SUFFIXES, column_names, unknown_kind
 from .replay import recorded_files
 
 SIMULATED_RESOLVER_BITS = 15
@@ -26,7 +25,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     """The facts in `file`, else those in the recordings.
 
     Raises DocumentError for a log without facts, for recordings of different axes, and for `columns` that a log does
-    not have; RecordingError for a file of another kind.
+    not have.
     """
     if file is not None:
         given = read_facts(file)
@@ -35,8 +34,6 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     found: DriveFacts | None = None
     for log in logs:
         if not str(log).endswith(RECORDINGS):
-            if not str(log).lower().endswith(SUFFIXES):
-                raise unknown_kind(log)
             raise DocumentError(
                 f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
                 "`fffo-drive import`"
@@ -51,17 +48,17 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
 
 def _columns_not_in(log: str | Path, facts: DriveFacts) -> list[tuple[str, str]]:
     """(key, what is wrong) of `columns` that name none of a table. An unreadable log is reported by its reader."""
-    mapping = facts.column_map()
-    if mapping is None or str(log).endswith(RECORDINGS):
+    declared = facts.hints().columns
+    if not declared or str(log).endswith(RECORDINGS):
         return []
     try:
-        names = column_names(Path(log))
+        source = read_source(log, rows=False)
     except (RecordingError, OSError):
         return []
     return [
-        (f"columns.{one.signal}", f"{log} has no column {one.column!r}: {did_you_mean(one.column, names)}")
-        for one in mapping.columns
-        if one.column not in names
+        (f"columns.{one.signal}", f"{log} has no column {one.column!r}: {did_you_mean(one.column, source.columns)}")
+        for one in declared
+        if one.column not in source.columns and one.column not in source.left
     ]
 
 

@@ -92,8 +92,12 @@ def _short(tmp_path, columns):
 
 def test_nan_and_a_wrong_rate_are_refused(tmp_path, columns):
     bad = columns["position_rev"].copy()
-    bad[100] = np.nan
-    with pytest.raises(RecordingError, match="nan"):
+    bad[100] = np.nan  # a gap, which is told
+    found = load_record(write_csv(tmp_path / "a.csv.gz", columns | {"position_rev": bad}), FACTS)
+    assert "1 of 8000 rows miss a number and are left out" in found.warnings[0]
+    assert "line 102, column 'position_rev'" in found.warnings[0]
+    bad[:100] = np.nan
+    with pytest.raises(RecordingError, match=r"1\.26 % of its rows would be left out"):
         load_record(write_csv(tmp_path / "a.csv.gz", columns | {"position_rev": bad}), FACTS)
     with pytest.raises(DataError, match="facts declare 1000 Hz"):
         load_record(write_csv(tmp_path / "b.csv.gz", columns), FACTS.model_copy(update={"sample_rate_hz": 1000.0}))
@@ -104,7 +108,9 @@ def test_the_declared_rate_is_the_time_of_a_table_without_one(tmp_path, columns)
     record = load_record(path, FACTS)
     assert record.period_s == pytest.approx(PERIOD_S)
     np.testing.assert_allclose(record.position_rev, columns["position_rev"], atol=1e-6)
-    with pytest.raises(RecordingError, match="nothing gives time_s"):
+    with pytest.raises(
+        RecordingError, match=r"no time can be seen among the columns .*\n.*fffo-drive import .*a\.csv\.gz .*--rate HZ$"
+    ):
         load_record(path, FACTS.model_copy(update={"sample_rate_hz": None}))
 
 

@@ -17,7 +17,7 @@ def test_the_example_is_read_and_shows_every_key():
     for name in DriveFacts.model_fields:
         assert f"{name}:" in text, name
     assert facts.lsb_rev == 1.0 / 32768.0
-    columns = {column.signal: column for column in facts.column_map().columns}
+    columns = {column.signal: column for column in facts.hints().columns}
     assert columns["velocity_rps"].unit == "rpm"
     assert columns["position_rev"].scale == 1.0 / 4096.0
 

@@ -16,7 +16,6 @@ from fffo_drive.identification.dataset import DataError, load_record, record_of_
 from fffo_drive.identification.excitation import identification_sequence
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.regression import regression_start
-from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.ring_reader import RingReader
 from fffo_drive.runtime.session import Session
 from fffo_drive.units import inertia_nm_s2_per_rev
@@ -75,14 +74,15 @@ def test_a_table_says_it_too_where_its_statusword_is_declared(tmp_path):
     assert where_command_acts(record).samples == 4000 - 3 - 2 * 20
 
 
-def test_a_hexadecimal_statusword_is_refused_with_its_place_and_left_alone_where_it_is_not_declared(tmp_path):
-    lines = [f"{PERIOD_S * k},{np.sin(0.01 * k)},{np.cos(0.01 * k)},0x1637" for k in range(3000)]
+def test_a_hexadecimal_statusword_is_read_where_it_is_declared_and_left_alone_where_it_is_not(tmp_path):
+    words = ["0x1637", "0x1E37"]  # bit 11 of the second is set
+    lines = [f"{PERIOD_S * k},{np.sin(0.01 * k)},{np.cos(0.01 * k)},{words[k >= 2000]}" for k in range(3000)]
     log = tmp_path / "run.csv"
     log.write_text("time_s,current_command_a,position_rev,statusword\n" + "\n".join(lines) + "\n")
     assert load_record(log, FACTS).limited is None
     declared = {name: name for name in ("time_s", "current_command_a", "position_rev", "statusword")}
-    with pytest.raises(RecordingError, match=r"line 2.*statusword.*0x1637"):
-        load_record(log, FACTS.model_copy(update={"columns": declared}))
+    limited = load_record(log, FACTS.model_copy(update={"columns": declared})).limited
+    assert np.flatnonzero(limited).tolist() == list(range(2000, 3000))
 
 
 def test_a_drive_that_is_always_at_its_limit_is_refused_in_words():

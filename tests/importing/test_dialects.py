@@ -20,8 +20,9 @@ from importing.axis_log import (
     units_of,
 )
 
+from fffo_drive.identification.facts import facts_of, facts_text
 from fffo_drive.importing.candidates import Hints
-from fffo_drive.importing.convert import converted, facts_of, write_recording
+from fffo_drive.importing.convert import converted, write_recording
 from fffo_drive.importing.read import read_source
 from fffo_drive.importing.recognise import recognise
 from fffo_drive.importing.source import source_of_arrays
@@ -140,8 +141,8 @@ def test_what_is_written_is_read_back_with_its_facts(tmp_path):
     source = source_of_arrays(tmp_path / "log", {n.removesuffix("_a"): v for n, v in log.columns.items()})
     (tmp_path / "log").write_bytes(b"as it was")
     found = recognise(source, Hints(units={"position_rev": "rev", "velocity_rps": "rps"}))
-    facts = facts_of(found, {"torque_constant_nm_per_a": 0.13, "pole_pairs": 4})
-    write_recording(tmp_path / "log.mcap", tmp_path / "log", converted(source, found), facts)
+    facts = facts_of({"torque_constant_nm_per_a": 0.13, "pole_pairs": 4}, found.linear)
+    write_recording(tmp_path / "log.mcap", tmp_path / "log", converted(source, found), facts_text(facts), found.linear)
     run = read_run(tmp_path / "log.mcap")
     assert run.complete
     np.testing.assert_allclose(run.column("time_s"), log.time_s, atol=1e-9)

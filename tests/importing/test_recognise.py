@@ -134,7 +134,7 @@ def test_nothing_among_numbers_is_a_missing_number(kind):
     current[7] = None
     source = source_of_arrays(Path("log"), {"current_a": kind(current), "note": ["x", *[None] * (len(current) - 1)]})
     assert np.flatnonzero(np.isnan(source.columns["current_a"])).tolist() == [7]
-    assert source.remarks == ("left out: 'note' holds no numbers",)
+    assert source.left == {"note": "holds no numbers"}
 
 
 def test_a_date_that_is_missing_costs_its_row_alone():

@@ -9,9 +9,10 @@ import pytest
 from importing.axis_log import truth
 
 from fffo_drive.identification.dataset import record_of_columns
+from fffo_drive.identification.facts import facts_of
 from fffo_drive.identification.regression import regression_start
 from fffo_drive.importing.candidates import Hints
-from fffo_drive.importing.convert import converted, facts_of
+from fffo_drive.importing.convert import converted
 from fffo_drive.importing.evidence import at_stamps, stamp_wrap_of, wrap_of
 from fffo_drive.importing.recognise import recognise
 from fffo_drive.importing.source import source_of_arrays
@@ -58,7 +59,7 @@ def test_a_wrap_that_nobody_tells_is_a_power_of_two_or_an_assumption(counts):
 
 def test_the_inertia_of_an_encoder_of_4000_counts_is_right():
     found, columns = imported(log_of(encoder(4000)), counts_per_turn=4000.0)
-    record = record_of_columns("log", columns, facts_of(found, {"torque_constant_nm_per_a": 0.025}))
+    record = record_of_columns("log", columns, facts_of({"torque_constant_nm_per_a": 0.025}, found.linear))
     inertia = regression_start([record]).inertia_nm_s2_per_rev
     assert inertia == pytest.approx(0.025 * 3e-3 / TURNS, rel=0.05)
 

@@ -14,15 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fffo_drive.importing import binary
+from fffo_drive.importing.log import read_log
 from fffo_drive.importing.read import read_source
 from fffo_drive.recording import files
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.files import LONGEST_LINE_BYTES, MOST_COLUMNS, table_text
 from fffo_drive.recording.reader import read_head, read_run
 from fffo_drive.recording.recover import recover
-from fffo_drive.recording.table import column_names, read_table
 
-TEXT_READERS = (read_source, read_table, column_names)
+
+def column_names(path):
+    return list(read_source(path, rows=False).columns)
+
+
+TEXT_READERS = (read_source, read_log, column_names)
 
 
 @pytest.mark.parametrize("read", TEXT_READERS)
@@ -81,7 +86,7 @@ def test_text_that_unpacks_to_more_than_can_be_read_is_refused(tmp_path, monkeyp
     packed.write_bytes(gzip.compress(text))
     for path in (plain, packed):
         with pytest.raises(RecordingError, match=rf"{path}: .* 10000 .*split it"):
-            read_table(path)
+            read_log(path)
 
 
 def to_out(path):
@@ -97,8 +102,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, read, kind):
             os.mkfifo(path)
         else:
             path.symlink_to("/dev/zero")
-        if suffix == ".mcap" and read in (read_table, column_names):
-            continue  # no table by its name
         with pytest.raises(RecordingError, match=rf"{path}: is {kind}, and one file is expected"):
             read(path)
 

@@ -19,13 +19,14 @@ from mcap.records import Chunk, Header, Schema
 from scipy.io import loadmat, savemat
 
 from fffo_drive.cli import main
+from fffo_drive.importing.log import read_log
+from fffo_drive.importing.read import read_source
 from fffo_drive.recording import unpack
 from fffo_drive.recording.container import MAGIC, record_bytes
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.mat_elements import unpacked
 from fffo_drive.recording.reader import read_run
 from fffo_drive.recording.recover import recover
-from fffo_drive.recording.table import read_table
 from fffo_drive.recording.unpack import FREE_BYTES, LARGEST_RATIO
 from fffo_drive.recording.writer import RunWriter
 from fffo_drive.signals import ROW
@@ -153,7 +154,7 @@ def test_a_csv_file_that_unpacks_to_far_more_is_refused(tmp_path):
         for _ in range(100):
             file.write(b"0,0\n" * 250_000)
     with little_memory(), pytest.raises(RecordingError, match=rf"{path}: unpacks to more than"):
-        read_table(path)
+        read_log(path)
 
 
 def test_a_csv_file_in_parts_cut_off_or_padded(tmp_path):
@@ -161,11 +162,11 @@ def test_a_csv_file_in_parts_cut_off_or_padded(tmp_path):
     text = table(2000).encode()
     packed = gzip.compress(text[:1000]) + gzip.compress(text[1000:])
     path.write_bytes(packed + bytes(512))
-    assert len(read_table(path).columns["time_s"]) == 2000
+    assert len(read_log(path).columns["time_s"]) == 2000
     for length in (len(packed) - 20, 40, 5):
         path.write_bytes(packed[:length])
         with pytest.raises(RecordingError, match=rf"{path}: the compressed file is not whole$"):
-            read_table(path)
+            read_log(path)
 
 
 def mat(content: dict[str, object], **options: bool) -> bytes:
@@ -179,7 +180,7 @@ def test_a_mat_file_that_unpacks_to_far_more_is_refused(tmp_path):
     path.write_bytes(mat({"time_s": np.zeros(12_500_000)}, do_compression=True))
     assert path.stat().st_size < 100_000
     with little_memory(), pytest.raises(RecordingError, match=rf"{path}: unpacks to more than"):
-        read_table(path)
+        read_log(path)
 
 
 HOLDERS = {"c": np.array([1, 2], dtype=object), "s": {"a": 1.0, "c": np.array([3, 4], dtype=object)}}
@@ -198,7 +199,7 @@ def test_an_array_that_says_it_holds_more_arrays_than_there_is_room_for_is_refus
     path = tmp_path / "cells.mat"
     path.write_bytes(raw)
     with little_memory(), pytest.raises(RecordingError, match=rf"{path}: not a whole MAT file"):
-        read_table(path)
+        read_log(path)
 
 
 @pytest.mark.parametrize("form", ["4", "5"])
@@ -212,7 +213,7 @@ def test_what_scipy_reads_is_the_same_unpacked(tmp_path, form, compressed):
     whole = loadmat(io.BytesIO(path.read_bytes()), squeeze_me=True)
     for name in content:
         assert repr(flat[name]) == repr(whole[name])
-    table = read_table(path)
+    table = read_source(path)
     assert table.scalars["gain"] == 0.25
     assert (table.columns["time_s"] == content["time_s"]).all()
 
@@ -225,7 +226,7 @@ def test_a_damaged_mat_file_is_read_or_refused_in_our_words(tmp_path_factory, pl
     path.write_bytes(raw[:place] + damage + raw[place + len(damage) :])
     message = ""
     try:
-        read_table(path)
+        read_log(path)
     except RecordingError as error:
         message = str(error)
     assert not message or message.startswith(str(path))
