@@ -170,14 +170,17 @@ def _holds_no_numbers(kind: Any) -> bool:
 
 
 def _matrix(column: Any) -> Any:
-    """Lists of one length as numbers (rows, length); None for others."""
+    """Lists of one length as numbers (rows, length), NaN where there is none; None for lists of several lengths."""
     from pyarrow import compute
 
     whole = column.combine_chunks()
-    lengths = compute.unique(compute.list_value_length(whole)).to_pylist()
-    if len(lengths) != 1 or lengths[0] is None or not 0 < lengths[0] <= LONGEST_LIST:
+    given = whole.is_valid().to_numpy(zero_copy_only=False)
+    lengths = compute.unique(compute.list_value_length(whole.filter(whole.is_valid()))).to_pylist()
+    if len(lengths) != 1 or not 0 < lengths[0] <= LONGEST_LIST:
         return None
-    return compute.list_flatten(whole).to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, lengths[0])
+    found = np.full((given.size, lengths[0]), np.nan)
+    found[given] = compute.list_flatten(whole).to_numpy(zero_copy_only=False).reshape(-1, lengths[0])
+    return found
 
 
 def _check_size(path: Path, size_bytes: int) -> None:

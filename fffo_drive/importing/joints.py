@@ -107,7 +107,7 @@ def chosen(sources: Sequence[Source], wanted: str | None) -> dict[str, list[Sour
     joints = list(dict.fromkeys(joint for source in sources for joint in source.joints))
     if not joints:
         if wanted is not None:
-            raise RecordingError(f"{sources[0].path}: --joint {wanted}: it has no vectors with a number a joint")
+            raise RecordingError(f"{sources[0].path}: --joint {wanted}: nothing in it has a number for each joint")
         return {"": list(sources)}
     if wanted == ALL:
         names = joints
@@ -206,7 +206,7 @@ def _flat(names: Any) -> list[str]:
 def episodes_of(source: Source) -> list[Source]:
     """The episodes that one file of a dataset holds, each as a run."""
     numbers = source.columns.get(EPISODE)
-    if numbers is None:
+    if numbers is None or not np.isfinite(numbers).all():
         return [source]
     cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), source.rows]
     if len(cuts) == 2:

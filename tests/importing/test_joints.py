@@ -181,6 +181,19 @@ def test_pictures_texts_and_lists_of_any_length_are_named_and_left_out(tmp_path)
     assert list(source.joints) == ["0", "1", "2"]
 
 
+def test_rows_without_a_list_miss_a_number(tmp_path):
+    made = table(vectors())
+    state = made.column("observation.state").to_pylist()
+    state[7] = None
+    at = made.schema.get_field_index("observation.state")
+    made = made.set_column(at, "observation.state", pyarrow.array(state, pyarrow.list_(pyarrow.float32())))
+    numbers = pyarrow.array([None if k == 9 else 3 for k in range(made.num_rows)])
+    at = made.schema.get_field_index("episode_index")
+    made = made.set_column(at, "episode_index", numbers)
+    (one,) = recognised_logs([write(tmp_path / "log.parquet", made)], Hints(joint="0"))
+    assert one.log.left_out == 1
+
+
 def test_vectors_without_a_dataset_are_joints_too(tmp_path):
     columns = {"q": vectors()["observation.state"], "qd": vectors()["observation.velocity"]}
     columns["tau"] = vectors()["observation.effort"]
@@ -215,7 +228,7 @@ def test_a_joint_that_is_not_there_is_refused(tmp_path, wish, said):
 def test_a_joint_of_a_log_without_vectors_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time [s],pos [rev],current [A]\n" + "".join(f"{k * 0.01},{k},{k}\n" for k in range(100)))
-    with pytest.raises(RecordingError, match="--joint 1: it has no vectors"):
+    with pytest.raises(RecordingError, match="--joint 1: nothing in it"):
         recognised_logs([path], Hints(joint="1"))
 
 
