@@ -1,9 +1,10 @@
 """Convert logs of other programs to recordings: recognise their columns, give the reasons, write MCAP.
 
 LOG is text with any delimiter (also with metadata and unit lines, decimal commas or no column names), an export of EPOS
-Studio or TwinCAT Scope, MATLAB (.mat), JSON records, NPZ, Parquet, an MCAP of another program, or a trace of a CAN bus
-(candump, ASC, TRC, BLF, python-can CSV) with the EDS or DCF of the drive (--eds). Each becomes
-DIR/NAME.mcap, which `identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about the axis.
+Studio or TwinCAT Scope, MATLAB (.mat), JSON records, NPZ, Parquet, an MCAP of another program, a LeRobot dataset
+(--joint), or a trace of a CAN bus (candump, ASC, TRC, BLF, python-can CSV) with the EDS or DCF of the drive (--eds).
+Each becomes DIR/NAME.mcap, which `identify` and `diagnose` read directly; DIR/facts.yaml holds the declared facts about
+the axis.
 
 Whatever names, units and data leave undecided is an assumption, marked with "?". At a terminal the program asks for
 each one before it writes; --yes accepts all of them. DIR/columns.png shows how each column was interpreted,

@@ -169,15 +169,18 @@ def _by_library(path: Path, kind: str) -> Iterator[_Taken | int]:
     else:
         readers = {"PCAN-View, TRC": TRCReader, "Vector ASC": ASCReader, "python-can CSV": CSVReader}
         reader = readers[kind](io.StringIO(table_text(path)))
-    wrong = 0
+    wrong, since_begin = 0, 0.0
     while True:
         try:
             for message in reader:
+                since_begin += message.timestamp
                 if message.is_extended_id or message.is_error_frame or message.is_remote_frame or message.is_fd:
                     yield 1
                 elif message.arbitration_id <= STANDARD_MASK:
                     channel = "" if message.channel is None else str(message.channel)
-                    yield message.timestamp, message.arbitration_id, bytes(message.data), channel
+                    differences = getattr(reader, "timestamps_format", None) == "relative"  # of ASC
+                    stamp = since_begin if differences else message.timestamp
+                    yield stamp, message.arbitration_id, bytes(message.data), channel
             return
         except Exception as error:  # whatever a damaged line leads the readers to; a text goes on with the next one
             wrong += 1

@@ -457,6 +457,69 @@ def test_stamps_of_candump(tmp_path, rig, stamp, told):
         np.testing.assert_allclose(np.diff(source.columns["time_s"]), 0.01, atol=5e-6)
 
 
+def hexed(frame: str) -> tuple[str, int, str]:
+    can_id, _, data = frame.partition("#")
+    return can_id, len(data) // 2, " ".join(data[k : k + 2].upper() for k in range(0, len(data), 2))
+
+
+def as_trc_10(lines):
+    head = ";##########\n;   C:\\log.trc\n;\n;    CAN activities recorded by PCAN Explorer\n;\n"
+    rows = (f"{k:>6}) {1e3 * t:13.1f}  {i:>8}  {n}  {d}" for k, (t, f) in enumerate(lines, 1) for i, n, d in [hexed(f)])
+    return head + "\n".join(rows) + "\n"
+
+
+def as_trc_11(lines):
+    head = ";$FILEVERSION=1.1\n;$STARTTIME=43008.920986006946\n;\n;   Message Number\n"
+    rows = (
+        f"{k:>6}) {1e3 * t:13.1f}  Rx   {i:>8}  {n}  {d}" for k, (t, f) in enumerate(lines, 1) for i, n, d in [hexed(f)]
+    )
+    return head + "\n".join(rows) + "\n"
+
+
+def as_trc_13(lines):
+    head = ";$FILEVERSION=1.3\n;$STARTTIME=43008.920986006946\n;\n"
+    rows = (
+        f"{k:>6}) {1e3 * t:13.1f} 1  Rx {i:>8} -  {n}    {d}"
+        for k, (t, f) in enumerate(lines, 1)
+        for i, n, d in [hexed(f)]
+    )
+    return head + "\n".join(rows) + "\n"
+
+
+def as_asc(lines, relative: bool, base: str = "hex"):
+    head = f"date Mon Mar 2 10:00:00.000 am 2026\nbase {base}  timestamps {'relative' if relative else 'absolute'}\n"
+    head += "internal events logged\n// version 9.0.0\nBegin Triggerblock Mon Mar 2 10:00:00.000 am 2026\n"
+    head += "   0.000000 Start of measurement\n"
+    rows, last = [], 0.0
+    for t, frame in lines:
+        can_id, size, data = hexed(frame)
+        if base == "dec":
+            can_id, data = str(int(can_id, 16)), " ".join(str(int(byte, 16)) for byte in data.split())
+        rows.append(f"   {t - last if relative else t:.6f} 1  {can_id}             Rx   d {size} {data}")
+        last = t
+    return head + "\n".join([*rows, "End TriggerBlock"]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.trc", as_trc_10(run([1]))),
+        ("a.trc", as_trc_11(run([1]))),
+        ("a.trc", as_trc_13(run([1]))),
+        ("a.asc", as_asc(run([1]), False)),
+        ("a.asc", as_asc(run([1]), True)),
+        ("a.asc", as_asc(run([1]), False, "dec")),
+    ],
+    ids=["TRC 1.0", "TRC 1.1", "TRC 1.3", "ASC", "ASC, differences", "ASC, decimal"],
+)
+def test_traces_as_the_vendors_programs_write_them(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    source = read_source(path)
+    np.testing.assert_array_equal(source.columns["position actual value 0x6064"], COUNTS)
+    np.testing.assert_allclose(np.diff(source.columns["time_s"]), 0.01, atol=2e-4)
+
+
 def test_a_damaged_line_costs_itself(tmp_path):
     path = written(tmp_path / "trace.csv", [message(t, f) for t, f in run([1])])
     lines = path.read_text().splitlines()
