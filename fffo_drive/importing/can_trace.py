@@ -38,7 +38,7 @@ from ..drive.canopen.object_map import (
 from ..drive.canopen.reported_units import MILLI, reported_units, unit_remarks
 from ..recording.errors import RecordingError
 from .can_frames import Frames, Ints, read_frames
-from .can_objects import Stretch, longest_stretch, nodes_of, numbers_of, pdos_of
+from .can_objects import Place, Stretch, longest_stretch, nodes_of, numbers_of, pdos_of
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
@@ -83,10 +83,8 @@ OPTIONS = {
     TORQUES: "--rated-torque",
     CURRENTS: "--rated-current",
 }
-SPACING, PREDEFINED = (
-    RPDO2 - RPDO1,
-    range(4),
-)  # of the predefined connection set (CiA 301, 7.3.3): PDOs of each direction
+SPACING = RPDO2 - RPDO1  # of the PDOs in the predefined connection set (CiA 301, 7.3.3) ...
+PREDEFINED = 4  # ... which has so many of each direction
 ENABLED_MASK, ENABLED = 0x6F, 0x27  # of the statusword: operation enabled
 _NODE_ID = re.compile(r"^\s*NodeID\s*=\s*(0x[0-9a-f]+|\d+)", re.IGNORECASE | re.MULTILINE)
 FLOAT32 = 0x08  # data type (CiA 301, 7.4.7)
@@ -220,34 +218,35 @@ class _Reader:
         columns: dict[str, Floats] = {}
         units: dict[str, str] = {}
         doubts: dict[str, str] = {}
-        names: dict[int, str] = {}
+        names: dict[Place, str] = {}
         for item in self._summed(items):
             index = item.place.index
             if index == STATUSWORD:
                 enabled = (item.values.astype(np.int64) & ENABLED_MASK) == ENABLED
                 columns["operation enabled"] = self._held(enabled.astype(np.float64), item.frames, rows)
-            if index in WORDS or names.get(index) is not None:
+            place = (index, item.place.sub)
+            if index in WORDS or place in names:
                 continue
             name = self._name_of(item.place)
             factor, unit, doubt = self._factor(item.place)
             on_rows = self._at(item, rows) if item.of_drive else self._held(item.values, item.frames, rows)
             columns[name] = on_rows * factor
-            names[index] = name
+            names[place] = name
             units |= {name: unit} if unit else {}
             doubts |= {name: doubt} if doubt else {}
-        if POSITION in names and names[POSITION] not in doubts:  # a velocity is held against its derivative
+        if names.get((POSITION, 0), "") in columns.keys() - doubts:  # a velocity is held against its derivative
             doubts = {name: text for name, text in doubts.items() if units.get(name) != "rps"}
         return self._trimmed(rows, columns, units, doubts, self._roles(names, columns))
 
-    def _roles(self, names: Mapping[int, str], columns: Mapping[str, Floats]) -> dict[str, str]:
+    def _roles(self, names: Mapping[Place, str], columns: Mapping[str, Floats]) -> dict[str, str]:
         """Signal -> column. A torque that nobody commands (the drive is in another mode) is no command."""
-        own = dict(ROLES)
-        if self.drive.config is not None:
-            own[COMMAND_A] = (self.drive.config.target.index, *ROLES[COMMAND_A])
-            own[CURRENT_A] = (self.drive.config.torque.index, *ROLES[CURRENT_A])
+        own = {signal: [(index, 0) for index in indices] for signal, indices in ROLES.items()}
+        if (config := self.drive.config) is not None:
+            own[COMMAND_A].insert(0, (config.target.index, config.target.sub))
+            own[CURRENT_A].insert(0, (config.torque.index, config.torque.sub))
         found = {
-            signal: [names[i] for i in indices if i in names and not says_nothing(columns[names[i]])]
-            for signal, indices in own.items()
+            signal: [names[place] for place in able if place in names and not says_nothing(columns[names[place]])]
+            for signal, able in own.items()
         }
         return {signal: able[0] for signal, able in found.items() if able}
 
@@ -291,7 +290,7 @@ class _Reader:
         found = []
         for pdo in pdos:
             usual = first + SPACING * (pdo.number - 1) + self.node
-            told = (self.frames.ids == pdo.cob_id).any() or pdo.number > len(PREDEFINED)
+            told = (self.frames.ids == pdo.cob_id).any() or pdo.number > PREDEFINED
             found.append(pdo if told or not (self.frames.ids == usual).any() else pdo._replace(cob_id=usual))
         return found
 
@@ -441,6 +440,7 @@ class _Reader:
         if scale is None:
             raw = {COUNTS: "counts", SPEED: ""}.get(key, "permille")
             return sign, raw, ""
+        self.remarks.append(f"{key}: {scale.value:g}, {scale.said}")
         doubt = "" if scale.sure else f"{scale.value:g} is {scale.said}, {OPTIONS[key]} says it"
         if key in (COUNTS, SPEED):
             return sign / scale.value, "rev" if key == COUNTS else "rps", doubt
@@ -471,7 +471,6 @@ class _Reader:
             for values, said, sure in layers:
                 if values.get(key) is not None:
                     found[key] = DriveScale(float(values[key]), said, sure)
-                    self.remarks.append(f"{key}: {float(values[key]):g}, {said}")
                     break
         self.remarks += unit_remarks(_Objects(self.trace, self.dictionary, True))
         return found

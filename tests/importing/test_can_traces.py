@@ -332,6 +332,15 @@ def test_a_target_that_nobody_sets_is_no_command(tmp_path):
     assert roles["current_a"] == "torque actual value 0x6077"
 
 
+def test_objects_of_one_index_are_told_apart(tmp_path):
+    lines = run([1], (0x21060108, 0x21060208, 0x60640020))
+    lines = [(t, f if f[:4] != "181#" else f"181#0102{f[4:12]}") for t, f in lines]
+    source = read_source(log(tmp_path / "a.log", lines))
+    assert set(source.columns["object 0x2106:01"]) == {1.0}
+    assert set(source.columns["object 0x2106:02"]) == {2.0}
+    np.testing.assert_array_equal(source.columns["position actual value 0x6064"], COUNTS)
+
+
 def test_a_node_is_typed_at_a_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     answers = ["5", "q"]
