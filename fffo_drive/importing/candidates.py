@@ -24,15 +24,7 @@ from .evidence import (
 )
 from .names import INPUTS, POSITION, VELOCITY, Meaning, meaning_of
 from .source import Source, TraceDrive
-from .units import (
-    COUNT,
-    ELECTRIC,
-    FORCE,
-    LENGTH,
-    PACE,
-    UNITS,
-    turn_of,
-)
+from .units import COUNT, ELECTRIC, FORCE, LENGTH, PACE, UNITS, turn_of
 
 TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "velocity_rps", "reference_rps"
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
@@ -158,6 +150,11 @@ class Candidates:
         self.linear = hints.linear or any(
             c.unit and UNITS[c.unit].measures in (LENGTH, PACE, FORCE) for c in self.columns.values()
         )
+
+    def _take(
+        self, signal: str, column: Column, unit: str, factor: float, said: str, sure: bool, wrap: float | None = None
+    ) -> None:
+        self.guesses[signal] = Guess(signal, column.name, unit, factor, wrap, None, said, sure)
 
     def _free(self) -> list[Column]:
         used = {guess.column for guess in self.guesses.values()}

@@ -8,27 +8,11 @@ import re
 import numpy as np
 
 from ..arrays import Floats
-from .candidates import ENCODER_REV, POSITION_REV, VELOCITY_RPS, AnswerNeededError, Column, Guess
-from .evidence import (
-    Wrap,
-    bridged,
-    likely_counts,
-    relation,
-    smooth_derivative,
-    smoothed,
-)
+from .candidates import ENCODER_REV, POSITION_REV, VELOCITY_RPS, AnswerNeededError, Column
+from .evidence import Wrap, bridged, likely_counts, relation, smooth_derivative, smoothed
 from .names import POSITION, VELOCITY
 from .times import LIKE, NICE_RATE, SLOPE_TOLERANCE, Times
-from .units import (
-    ANGLE,
-    COUNT,
-    ELECTRIC,
-    LENGTH,
-    PACE,
-    SHARE,
-    SPEED,
-    UNITS,
-)
+from .units import ANGLE, COUNT, ELECTRIC, LENGTH, PACE, SHARE, SPEED, UNITS
 
 MOTIONS = {POSITION_REV, VELOCITY_RPS}
 NEAREST = 0.5  # of the distance of the second: two pairs of units may both be within the tolerance
@@ -157,9 +141,7 @@ class Motions(Times):
         if jumps is not None:
             evidence.append(_said_of(jumps))
             sure = sure and jumps.sure
-        self.guesses[POSITION_REV] = Guess(
-            POSITION_REV, column.name, unit, factor, wrap, None, ", ".join(evidence), sure
-        )
+        self._take(POSITION_REV, column, unit, factor, ", ".join(evidence), sure, wrap)
 
     def _counts(
         self, wrap: float | None, velocity: Column | None, slope: float | None, given: float | None
@@ -251,7 +233,7 @@ class Motions(Times):
             evidence += f"; r = {alike:.3f} with the derivative of the position"
             if slope < 0.0:
                 factor, evidence = -factor, evidence + ", sign reversed"
-        self.guesses[VELOCITY_RPS] = Guess(VELOCITY_RPS, column.name, unit, factor, None, None, evidence, sure)
+        self._take(VELOCITY_RPS, column, unit, factor, evidence, sure)
         return None
 
     def _contradicts(self, column: Column, unit: str, ratio: float) -> None:
@@ -276,25 +258,15 @@ class Motions(Times):
                 "--pole-pairs N",
             )
         factor = math.copysign(UNITS[ELECTRIC].factor / round(pairs), slope or 1.0)
-        self.guesses[VELOCITY_RPS] = Guess(
-            VELOCITY_RPS,
-            column.name,
-            ELECTRIC,
-            factor,
-            None,
-            None,
-            f"{round(pairs)} pole pairs, by the derivative of the position",
-            self.guesses[POSITION_REV].sure,
-        )
+        evidence = f"{round(pairs)} pole pairs, by the derivative of the position"
+        self._take(VELOCITY_RPS, column, ELECTRIC, factor, evidence, self.guesses[POSITION_REV].sure)
 
     def _odd_velocity(self, column: Column, slope: float, alike: float) -> None:
         """A velocity in a unit of its own: scaled by the position."""
         own = self.guesses[POSITION_REV]
         factor = own.factor / slope
         evidence = f"scaled by the derivative of the position; r = {alike:.3f} with it"
-        self.guesses[VELOCITY_RPS] = Guess(
-            VELOCITY_RPS, column.name, "-", factor, None, None, evidence, abs(alike) > LIKE and own.sure
-        )
+        self._take(VELOCITY_RPS, column, "-", factor, evidence, abs(alike) > LIKE and own.sure)
 
     def _reference_encoder(self) -> None:
         """A second sensor of the position: as given, or the column of its own name."""
@@ -315,16 +287,8 @@ class Motions(Times):
         jumps = self._wrap(hinted)
         if jumps is not None:
             evidence += f", {_said_of(jumps)}"
-        self.guesses[ENCODER_REV] = Guess(
-            ENCODER_REV,
-            hinted.name,
-            hinted.unit or "-",
-            own,
-            None if jumps is None else jumps.at,
-            None,
-            evidence,
-            jumps is None or jumps.sure,
-        )
+        wrap, sure = (None, True) if jumps is None else (jumps.at, jumps.sure)
+        self._take(ENCODER_REV, hinted, hinted.unit or "-", own, evidence, sure, wrap)
 
 
 def _said_of(wrap: Wrap) -> str:

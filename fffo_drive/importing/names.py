@@ -49,7 +49,7 @@ _WORDS = {
     TEMPERATURE: "temp temperature temperatures temperatur temperatura",
 }
 _DEVICES = {  # what a quantity is of: they name one where nothing else does
-    POSITION: "q encoder enc resolver qm rotor tachometer",
+    POSITION: "q encoder enc resolver qm rotor tachometer"
 }
 
 

@@ -44,17 +44,7 @@ from .motion import Motions
 from .names import ENABLE, INPUTS, POSITION, VELOCITY
 from .source import Source
 from .times import SLOPE_TOLERANCE
-from .units import (
-    ANGLE,
-    COUNT,
-    FORCE,
-    LENGTH,
-    SHARE,
-    TORQUE,
-    UNITS,
-    VOLTAGE,
-    unknown_unit,
-)
+from .units import ANGLE, COUNT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
 from .units import TEMPERATURE as TEMPERATURE_OF
 
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
@@ -145,7 +135,7 @@ class _Recogniser(Motions):
             factor, unit, sure = followed.factor, f"{followed.unit}/s", followed.sure
         if factor < 0.0:
             evidence += f", sign reversed as that of {followed.column!r}"
-        self.guesses[REFERENCE_RPS] = Guess(REFERENCE_RPS, column.name, unit, factor, None, None, evidence, sure)
+        self._take(REFERENCE_RPS, column, unit, factor, evidence, sure)
         return None
 
     def _setpoint(self, column: Column, followed: Guess) -> None:
@@ -162,9 +152,7 @@ class _Recogniser(Motions):
         # a set point may step by a turn: it wraps where the position does
         jumps = self._wrap(column) if followed.wrap is not None else None
         evidence = "by its name" if column.meaning.asked else f"{followed.column!r} follows it"
-        self.guesses[SETPOINT_REV] = Guess(
-            SETPOINT_REV, column.name, unit, factor, None if jumps is None else jumps.at, None, evidence, True
-        )
+        self._take(SETPOINT_REV, column, unit, factor, evidence, True, None if jumps is None else jumps.at)
         return None
 
     def _leave_out(self, column: Column, other: Guess) -> None:
@@ -306,6 +294,4 @@ class _Recogniser(Motions):
             evidence = "unit degC" if column.unit else "degC is assumed"
             low, high = float(np.nanmin(column.values)), float(np.nanmax(column.values))
             sure = column.unit is not None or (PLAUSIBLE_DEGC[0] < low and high < PLAUSIBLE_DEGC[1])
-            self.guesses[TEMPERATURE_DEGC] = Guess(
-                TEMPERATURE_DEGC, column.name, column.unit or "degC", 1.0, None, None, evidence, sure
-            )
+            self._take(TEMPERATURE_DEGC, column, column.unit or "degC", 1.0, evidence, sure)

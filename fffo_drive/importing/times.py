@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Floats
-from .candidates import POSITION_REV, TIME_S, VELOCITY_RPS, AnswerNeededError, Candidates, Column, Guess, Hints
+from .candidates import POSITION_REV, TIME_S, VELOCITY_RPS, AnswerNeededError, Candidates, Column, Hints
 from .evidence import (
     DAY_S,
     begins_anew,
@@ -23,15 +23,7 @@ from .evidence import (
 )
 from .names import POSITION, VELOCITY
 from .source import Source
-from .units import (
-    ANGLE,
-    COUNT,
-    LENGTH,
-    PACE,
-    SPEED,
-    TIME,
-    UNITS,
-)
+from .units import ANGLE, COUNT, LENGTH, PACE, SPEED, TIME, UNITS
 
 PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
@@ -77,16 +69,8 @@ class Times(Candidates):
         unit, evidence, sure = self._time_unit(found, float(np.median(steps)))
         wrap = stamp_wrap_of(found.values, DAY_S / UNITS[unit].factor)
         rate_hz = 1.0 / (float(np.median(steps)) * UNITS[unit].factor)
-        self.guesses[TIME_S] = Guess(
-            TIME_S,
-            found.name,
-            unit,
-            UNITS[unit].factor,
-            wrap,
-            None,
-            f"{evidence}{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else ""),
-            sure,
-        )
+        evidence += f"{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else "")
+        self._take(TIME_S, found, unit, UNITS[unit].factor, evidence, sure, wrap)
         return None
 
     def _rate_without_time(self, counter: Column | None) -> float | None:
@@ -106,17 +90,8 @@ class Times(Candidates):
             )
         nice = [float(f"{rate_hz:.2g}"), 1e3 / round(1e3 / rate_hz) if rate_hz < 1e3 else rate_hz]
         rate_hz = next((one for one in nice if abs(rate_hz / one - 1.0) < NICE_RATE), rate_hz)
-        factor = 1.0 / rate_hz
-        self.guesses[TIME_S] = Guess(
-            TIME_S,
-            counter.name,
-            "-",
-            factor,
-            stamp_wrap_of(counter.values),
-            None,
-            f"it counts rows; {rate_hz:.6g} Hz, by {pair}",
-            True,
-        )
+        evidence = f"it counts rows; {rate_hz:.6g} Hz, by {pair}"
+        self._take(TIME_S, counter, "-", 1.0 / rate_hz, evidence, True, stamp_wrap_of(counter.values))
         return None
 
     def _time_unit(self, column: Column, step: float) -> tuple[str, str, bool]:
