@@ -38,6 +38,7 @@ from .rows import Filter, cutoff_of, make_filter, rows_of, stretches_of
 from .scenes import Effect, load_rows
 from .select import Accepted, Refused, Selection, Selector
 from .select import DiagnosisSettings as DiagnosisSettings
+from .spectra import OWN_LINE
 from .startup import starting_data
 
 # mechanisms that an ablation can switch off
@@ -47,6 +48,7 @@ LARGEST_VARIATION = 0.35  # a cause has the same strength everywhere: largest co
 ONE_WAY = frozenset({"torque_offset", "asymmetric_coulomb", "asymmetric_viscous"})
 STEADY_VARIATION = 0.15  # a law that varies no more, and gains ...
 SURE_SDS = 4.0  # ... this many standard deviations on held-out runs, is a cause whatever remains
+SAME_ORDER = 0.01  # relative: waves at one order
 CONTRADICTED_SHARE = 0.5  # of what a model leaves: 0.91 on lorenz' runs that contradict each other
 RIVAL_SHARE = 0.01  # of a finding's gain: what explains less in its place is no rival
 ACTING_SHARE = 0.5  # an effect acts where its torque is above this share of its maximum
@@ -263,7 +265,7 @@ def judged(findings: Sequence[Finding], rest: Rest | None, fault: str = "") -> l
     """
     curves = sum(_removed(one) for one in findings if one.curve is not None)
     unnamed = curves + (rest.share if rest is not None else 0.0)
-    return [replace(one, doubt=fault or _doubt(one, unnamed)) for one in findings]
+    return [replace(one, doubt=fault or _doubt(one, unnamed) or _beside(one, findings)) for one in findings]
 
 
 def _doubt(finding: Finding, unnamed: float) -> str:
@@ -281,6 +283,30 @@ def _doubt(finding: Finding, unnamed: float) -> str:
     if removed < unnamed - (removed if is_curve else 0.0):
         return "it does not stand out from what no law explains, and may be part of that"
     return ""
+
+
+def _beside(finding: Finding, findings: Sequence[Finding]) -> str:
+    """Why a wave is in doubt beside a much larger one of another kind at its order, or a free curve over the angle
+    beside such a wave: what a wave leaves comes again with the angle too.
+
+    The friction of a machine is not that of the model, nor then its ripple: beside one of 8 mNm a cogging of 0.5 to 0.7
+    mNm was found that no machine had, steady and confirmed.
+    """
+    order = _order_of(finding)
+    for other in findings:
+        far = abs(_order_of(other) - order) > SAME_ORDER * order
+        if finding.curve is not None:
+            far = other.axis != finding.axis
+        larger = other.torque_rms_nm > OWN_LINE * finding.torque_rms_nm
+        if other.name != finding.name and _order_of(other) > 0.0 and larger and not far:
+            ratio = other.torque_rms_nm / max(finding.torque_rms_nm, 1e-300)
+            return f"{other.name} has {ratio:.2g} times its torque over the same angle: it may be part of that"
+    return ""
+
+
+def _order_of(finding: Finding) -> float:
+    """Order of a wave of the motor turn; 0 where it is none."""
+    return next((n.value for n in finding.parameters if n.name == "order"), 0.0)
 
 
 def _removed(finding: Finding) -> float:

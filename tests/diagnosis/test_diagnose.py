@@ -21,7 +21,7 @@ from fffo_drive.diagnosis.diagnose import (
     verdict_of,
 )
 from fffo_drive.diagnosis.fitting import Fitted, fit, jacobian
-from fffo_drive.diagnosis.results import Rest, report
+from fffo_drive.diagnosis.results import Number, Rest, report
 from fffo_drive.identification.dataset import DataError, Record
 from fffo_drive.model.parameters import read_model, write_model
 from fffo_drive.units import inertia_nm_s2_per_rev
@@ -287,6 +287,42 @@ def test_what_does_not_stand_out_from_what_no_law_explains_is_in_doubt():
     assert "does not stand out" in doubts(low, curve)[0]
     assert doubts(high, curve) == ["", ""]
     assert "does not stand out" in doubts(enough, curve, rest=HALF)[0]
+
+
+def wave(name, order, torque_rms_nm):
+    """A steady wave that held-out runs show clearly."""
+    order = Number("order", order, 1e-3, "1/rev")
+    return replace(
+        accepted(name, held_out_gain=(30.0, 1.0))[0], parameters=(order,), torque_rms_nm=torque_rms_nm,
+        strength_variation=0.05,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("order", "torque_rms_nm", "doubted"), [(3.003, 5e-4, True), (6.0, 5e-4, False), (3.003, 3e-3, False)]
+)
+def test_a_wave_is_in_doubt_beside_a_much_larger_one_of_another_kind_at_its_order(order, torque_rms_nm, doubted):
+    ripple, small = wave("friction_ripple", 3.0, 6e-3), wave("cogging", order, torque_rms_nm)
+    for findings in ([ripple, small], [small, ripple]):
+        found = {one.name: one.doubt for one in judged(findings, None)}
+        assert found["friction_ripple"] == ""
+        assert ("may be part of that" in found["cogging"]) == doubted
+
+
+@pytest.mark.parametrize(("torque_rms_nm", "doubted"), [(5e-4, True), (3e-3, False)])
+def test_a_curve_over_the_angle_is_in_doubt_beside_a_much_larger_wave(torque_rms_nm, doubted):
+    curve = wave("unknown:motor_angle", 3.0, torque_rms_nm)
+    curve = replace(curve, parameters=(), axis="motor_angle", explained_fraction=0.6)
+    ripple = replace(wave("friction_ripple", 3.0, 6e-3), axis="motor_angle")
+    assert ["may be part of that" in one.doubt for one in judged([ripple, curve], None)] == [False, doubted]
+    elsewhere = replace(curve, name="unknown:velocity", axis="velocity")
+    assert [one.doubt for one in judged([ripple, elsewhere], None)] == ["", ""]
+
+
+def test_harmonics_of_one_kind_stand_beside_each_other():
+    """LAAS: cogging of order 72, and of 18 and 144 with a twentieth of it."""
+    found = judged([wave("cogging", order, size) for order, size in ((72.0, 4e-3), (18.0, 2e-4), (144.0, 2e-4))], None)
+    assert [one.doubt for one in found] == ["", "", ""]
 
 
 def test_nothing_is_certain_where_the_position_itself_is_at_fault():
