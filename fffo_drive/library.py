@@ -9,6 +9,7 @@ Signals have the names and units of `signals.ROW`: time_s, position_rev, velocit
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 import time
 import warnings
@@ -42,6 +43,7 @@ from .importing.read import RECORDINGS
 from .model.parameters import ModelFile
 from .model.parameters import read_model as read_model
 from .model.parameters import write_model as write_model_file
+from .recording.errors import ForeignRecordingError
 from .recording.reader import read_run as read_recording
 from .runtime.runs import timestamp_name
 from .signals import UNITS
@@ -238,15 +240,17 @@ def read_run(
             )
         return MeasuredRun(name or "run", arrays, _facts(facts, torque_constant_nm_per_a))
     path = Path(source)
-    carries = path.name.endswith(RECORDINGS)
-    own = _facts_carried(path, torque_constant_nm_per_a) if carries and facts is None else None
+    recording = None
+    if path.name.endswith(RECORDINGS):
+        with contextlib.suppress(ForeignRecordingError):
+            recording = read_recording(path)
+    own = _facts_carried(path, torque_constant_nm_per_a) if recording is not None and facts is None else None
     declared = _facts(facts or own, torque_constant_nm_per_a)
-    if not carries:
+    if recording is None:
         log = read_log(path, None if declared is None else declared.hints())
         for text in log.remarks:
             warnings.warn(text, stacklevel=2)
         return MeasuredRun(name or path.name, dict(log.columns), declared, path)
-    recording = read_recording(path)
     if not recording.complete:
         warnings.warn(recording.reason, stacklevel=2)
     own_loop = "profile_sample" in recording.columns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +18,7 @@ from ..drive.cia402 import STATUS_INTERNAL_LIMIT
 from ..importing.convert import Converted
 from ..importing.log import read_log
 from ..importing.read import RECORDINGS, short_name
-from ..recording.errors import RecordingError
+from ..recording.errors import ForeignRecordingError, RecordingError
 from ..recording.files import regular
 from ..recording.reader import Run, read_run
 from .facts import DriveFacts
@@ -123,7 +124,10 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
 
 def log_of(path: Path, facts: DriveFacts) -> Run | Converted:
     """A recording as it is, any other log by the facts (`importing.log`). Raises RecordingError, OSError."""
-    return read_run(path) if path.name.endswith(RECORDINGS) else read_log(path, facts.hints())
+    if path.name.endswith(RECORDINGS):
+        with contextlib.suppress(ForeignRecordingError):
+            return read_run(path)
+    return read_log(path, facts.hints())
 
 
 def record_of_log(path: Path, log: Run | Converted, facts: DriveFacts, digest: str) -> Record:

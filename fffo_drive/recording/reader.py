@@ -17,7 +17,7 @@ from mcap.records import Channel, Metadata, Schema, Statistics
 from ..documents import did_you_mean
 from ..signals import ROW, SIGNALS, UNITS
 from ..units import NS_PER_S
-from .errors import RecordingError
+from .errors import ForeignRecordingError, RecordingError
 from .events import Event, decode_event
 from .files import regular
 from .run_records import RECORD_TOPIC, RECORD_TYPE, RecordKind, RunRecord, decode_record
@@ -346,7 +346,10 @@ class _Collector:
         if self.channels and not self.layouts and tear is None:
             topics = [channel.topic for channel in self.channels.values()]
             hint = did_you_mean(self.topic, topics)
-            raise RecordingError(f"{self.path}: no rows on {self.topic!r}: {hint}")
+            line = f"fffo-drive import {self.path} --out DIR"
+            raise ForeignRecordingError(
+                f"{self.path}: no rows on {self.topic!r}: {hint}\n  import a log of another program with: {line}"
+            )
         layout = next(iter(self.layouts.values()), _CURRENT_LAYOUT)
         stated = sum(count for channel, count in self.stated.items() if channel in self.layouts)
         if tear is None and self.stated and stated != self.count:

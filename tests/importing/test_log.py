@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import shlex
 import sys
@@ -14,11 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from importing.axis_log import Dialect, as_text, raw_columns, truth
+from mcap.writer import Writer
 from scipy.io import savemat
 from shared_data import shared_files
 
 import fffo_drive as fd
 from fffo_drive.cli import main
+from fffo_drive.identification.dataset import load_record
+from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.importing.candidates import DeclaredColumn, Hints
 from fffo_drive.importing.log import SIGNAL_UNITS, read_log
 from fffo_drive.importing.read import read_source
@@ -395,6 +399,28 @@ def test_the_line_that_is_given_answers_what_is_open(tmp_path, headings, asked, 
     assert options in line
     assert main(shlex.split(line.replace(" HZ", " 500").replace(" N", " 360"))) == 0
     assert (tmp_path / "run_imported" / "run.mcap").exists()
+
+
+def test_an_mcap_of_another_program_is_read_or_names_import(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(name="motor", encoding="jsonschema", data=b'{"type": "object"}')
+        channel = writer.register_channel(topic="/motor", message_encoding="json", schema_id=schema)
+        for stamp, place, current in zip(LOG.time_s, LOG.position_rev, LOG.current_a, strict=True):
+            data = json.dumps({"pos_rev": place, "current_A": current}).encode()
+            stamp_ns = round(1e9 * (1.0 + stamp))
+            writer.add_message(channel_id=channel, log_time=stamp_ns, publish_time=stamp_ns, data=data)
+        writer.finish()
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        found = fd.read_run(path)
+    np.testing.assert_allclose(found["position_rev"], LOG.position_rev, atol=1e-9)
+    facts = DriveFacts(torque_constant_nm_per_a=0.1)
+    np.testing.assert_allclose(load_record(path, facts).position_rev, LOG.position_rev, atol=1e-6)
+    assert main(["identify", str(path), "--out", str(tmp_path / "model")]) == 78
+    assert f"fffo-drive import {path} --out DIR" in capsys.readouterr().err
 
 
 def test_plain_numbers_are_read_without_pyarrow_and_others_say_what_to_install(tmp_path, monkeypatch):
