@@ -22,32 +22,16 @@ S_PER_DAY = 86_400.0
 MAD_TO_SD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 NORMAL_95 = 1.96  # standard deviations to each side of the two-sided 95 % interval of a normal distribution
 
-# suffix of a public name -> what it stands for; a test holds every signal and configuration key against it
+# suffix of a public name -> its unit as people read it (the longest that fits counts); a test holds every signal and
+# configuration key against it
 SUFFIXES = {
-    "rev": "revolutions",
-    "rps": "revolutions per second",
-    "rps2": "revolutions per second squared",
-    "rps3": "revolutions per second cubed",
-    "nm": "newton metre",
-    "nm_per_a": "newton metre per ampere",
-    "nm_per_rev": "newton metre per revolution",
-    "nm_per_rps": "newton metre per revolution per second",
-    "nm_per_s": "newton metre per second",
-    "a": "ampere",
-    "a_per_s": "ampere per second",
-    "a2s": "ampere squared second",
-    "a_per_rps": "ampere per revolution per second",
-    "a_per_rev": "ampere per revolution",
-    "v": "volt",
-    "s": "second",
-    "ms": "millisecond",
-    "us": "microsecond",
-    "ns": "nanosecond",
-    "hz": "hertz",
-    "kg_m2": "kilogram square metre",
-    "per_rev": "per revolution",
-    "deg": "degree of phase",
-}
+    "nm_per_a": "Nm/A", "nm_per_rps2": "Nm/rps²", "nm_per_rps": "Nm/rps", "nm_per_rev": "Nm/rev", "nm_per_s": "Nm/s",
+    "nm_per_k": "Nm/K", "a_per_rps": "A/rps", "a_per_rev": "A/rev", "a_per_s": "A/s", "a2s": "A²s", "per_rev": "1/rev",
+    "units_per_rps": "1/rps", "counts_per_rps": "1/rps", "units_per_a": "1/A", "per_k": "1/K", "k_per_w": "K/W",
+    "kg_m2": "kg m²", "rps3": "rev/s³", "rps2": "rev/s²", "rps": "rev/s", "rev": "rev", "nm": "Nm", "ms": "ms",
+    "us": "µs", "ns": "ns", "hz": "Hz", "deg": "degree", "permille": "1/1000", "status_bits": "", "ticks": "ticks",
+    "ratio": "1", "bits": "bits", "ohm": "Ω", "v": "V", "h": "h", "a": "A", "s": "s", "k": "K", "c": "°C",
+}  # fmt: skip
 
 
 def inertia_nm_s2_per_rev(inertia_kg_m2: float) -> float:

@@ -18,6 +18,7 @@ from ..drive.simulated.effects.slots import STAGE_NAMES
 from ..model.effects.law import Law
 from ..model.effects.registry import LAWS
 from ..signals import SIGNALS
+from ..units import SUFFIXES
 
 FILES = {  # kind -> (title, what the file is)
     "axis": ("Axis file", "One axis: drive, model, law, limits, profile. Input of `run`, `serve` and `commission`."),
@@ -39,16 +40,6 @@ FILES = {  # kind -> (title, what the file is)
         "What has to be declared about a drive if its logs do not contain it: `identify LOG --drive FACTS`.",
     ),
 }
-UNITS = (  # ending of a key -> unit; the longest ending that fits counts
-    ("_nm_per_a", "Nm/A"), ("_nm_per_rps2", "Nm/rps²"), ("_nm_per_rps", "Nm/rps"), ("_nm_per_rev", "Nm/rev"),
-    ("_nm_per_s", "Nm/s"), ("_a_per_rps", "A/rps"), ("_a_per_rev", "A/rev"), ("_a_per_s", "A/s"), ("_per_rev", "1/rev"),
-    ("_units_per_rps", "1/rps"), ("_counts_per_rps", "1/rps"), ("units_per_a", "1/A"), ("_nm_per_k", "Nm/K"),
-    ("_per_k", "1/K"), ("k_per_w", "K/W"), ("_kg_m2", "kg m²"), ("_rps3", "rev/s³"), ("_rps2", "rev/s²"),
-    ("_rps", "rev/s"), ("_rev", "rev"), ("_nm", "Nm"), ("_ms", "ms"), ("_us", "µs"), ("_hz", "Hz"), ("_deg", "degree"),
-    ("_permille", "1/1000"), ("_status_bits", ""),
-    ("_ticks", "ticks"), ("_ratio", "1"), ("_bits", "bits"), ("_ohm", "Ω"), ("_ns", "ns"), ("_v", "V"), ("_h", "h"),
-    ("_a", "A"), ("_s", "s"), ("_k", "K"), ("_c", "°C"),
-)  # fmt: skip
 
 
 def pages() -> dict[str, str]:
@@ -192,8 +183,8 @@ def _allowed(entry: Mapping[str, Any], kind: str) -> str:
 
 def unit_of(key: str) -> str:
     """The unit that the ending of a key names; empty for none."""
-    fitting = [ending for ending, _ in UNITS if key.endswith(ending)]
-    return dict(UNITS)[max(fitting, key=len)] if fitting else ""
+    fitting = [suffix for suffix in SUFFIXES if f"_{key}".endswith(f"_{suffix}")]
+    return SUFFIXES[max(fitting, key=len)] if fitting else ""
 
 
 def _type(entry: Mapping[str, Any], kind: str) -> str:
