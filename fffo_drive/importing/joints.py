@@ -175,7 +175,7 @@ def dataset_files(directory: Path) -> list[Path]:
     found = sorted(directory.glob(DATA)) or sorted(directory.glob("*.parquet")) or sorted(directory.glob("*/*.parquet"))
     if not found:
         raise RecordingError(
-            f"{directory}: a directory, and no LeRobot dataset ({DATA}, {INFO}): name the files of one axis"
+            f"{directory}: is a directory, and no LeRobot dataset ({DATA}, {INFO}): name the files of one axis"
         )
     return found
 
