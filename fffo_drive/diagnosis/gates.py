@@ -47,10 +47,10 @@ class ReferenceAxis(NamedTuple):
         """Rms torque below which an effect is negligible, and which any parameter may hide."""
         return NEGLIGIBLE * self.needed_nm
 
-    def and_then(self, later: ReferenceAxis) -> ReferenceAxis:
-        """The axis of later rungs: where they changed the inertia, the data do not determine it."""
-        change = abs(float(np.log(later.inertia_nm_s2_per_rev / self.inertia_nm_s2_per_rev)))
-        return later._replace(inertia_sd=max(later.inertia_sd, change))
+    def beside(self, inertia_nm_s2_per_rev: float) -> ReferenceAxis:
+        """The axis, where a force balance gives this inertia: where the two differ, the data do not determine it."""
+        change = abs(float(np.log(self.inertia_nm_s2_per_rev / inertia_nm_s2_per_rev)))
+        return self._replace(inertia_sd=max(self.inertia_sd, change))
 
     @classmethod
     def of(cls, data: Data, fitted: Fitted, matrix: Floats) -> ReferenceAxis:

@@ -193,17 +193,13 @@ class Search:
         return [more for found in best.values() for more in self._with_datum(data, evidence, found)]
 
     def _shapes(self, context: SearchContext, rung: int) -> Iterator[tuple[str, Shape]]:
-        """Laws and their shapes. Below the rung of the laws, waves have the machine's own orders only."""
+        """Laws up to a rung, and their shapes."""
         for name, law in LAWS.items():
             if name in self.without or law.in_base or law.name == "lookup" or law.rung > rung:
                 continue
             if law.rotary and self.facts.units != "rotary":
                 continue
-            shapes = law.search(context)
-            if law.rung == WAVE_RUNG and rung == WAVE_RUNG:
-                own = machine_orders(self.facts)
-                shapes = [shape for shape in shapes if shape["order"] in own]
-            yield from ((name, shape) for shape in shapes)
+            yield from ((name, shape) for shape in law.search(context))
 
     def _scored(
         self, data: Data, evidence: Evidence, scenes: Sequence[Scene], factors: Factors,

@@ -15,7 +15,6 @@ import numpy as np
 import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
-from ..identification.facts import DriveFacts
 from ..model.axis import AxisConfig
 from ..model.effects import slots
 from ..model.effects.registry import law_of
@@ -62,13 +61,6 @@ class Effect:
             phase = np.arctan2(strengths[sine], strengths[cosine])
             strengths[cosine], strengths[sine] = size * np.cos(phase), size * np.sin(phase)
         return replace(self, strengths=strengths)
-
-
-def starting_effect(name: str, facts: DriveFacts) -> Effect:
-    """A law of zero strength at its proposed shape."""
-    law = law_of(name)
-    shapes = {p.name: facts.gear_ratio or p.typical if p.name == "ratio" else p.typical for p in law.shapes}
-    return Effect(name, shapes, {p.name: np.zeros(1) for p in law.strengths})
 
 
 KEPT_BAND = 0.7  # share of a thinned command's bandwidth that is kept

@@ -8,7 +8,6 @@ been added.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,20 +23,18 @@ from ..identification.criterion import (
     unseen_loss,
 )
 from ..identification.facts import DriveFacts
-from ..identification.ladder import GRAVITY_PERIODS
+from ..identification.ladder import AcceptedEffect, Ladder
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
 from ..identification.threads import in_threads
 from ..model.effects.laws.lookup import UNKNOWN
-from ..model.effects.registry import LAWS, axis_of_effect, law_of
+from ..model.effects.registry import axis_of_effect, law_of
 from .base import NAMES
 from .fitting import (
     Data,
     Fitted,
-    consistent_scenes,
     evaluate,
     fit,
-    jacobian,
     load_of,
     numbers_of,
     on_command,
@@ -46,7 +43,7 @@ from .fitting import (
 )
 from .gates import ReferenceAxis, implausibility, objection
 from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
-from .scenes import starting_effect, strength_columns
+from .scenes import Effect
 from .scored import (
     LADDER_ITERATIONS,
     ScoredFit,
@@ -169,16 +166,15 @@ class Selector:
         self.inertia_ratios: tuple[float, ...] = ()
         self.share = 0.0  # of the search that is done: effects also go
 
-    def run(self, data: Data) -> Selection:
-        """Climb the ladder, then let all remaining effects compete. `data` as they are at the start."""
+    def run(self, data: Data, climbed: Ladder) -> Selection:
+        """From the first rungs on let all effects compete. `data` as they are at the start."""
         whole = data
-        data, scored, accepted = self._ladder(data)
-        self.reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
-        for rung in (WAVE_RUNG, LAW_RUNG, TABLE_RUNG):
+        data, scored, accepted = self._first_rungs(data, climbed)
+        self.ladder = FirstRungs(data, scored, tuple(accepted))
+        reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
+        self.reference = reference.beside(climbed.start.inertia_nm_s2_per_rev)
+        for rung in (LAW_RUNG, TABLE_RUNG):
             data, scored, accepted = self._climbed(whole, data, scored, accepted, rung)
-            if rung == WAVE_RUNG:
-                self.ladder = FirstRungs(data, scored, tuple(accepted))
-                self.reference = self.reference.and_then(ReferenceAxis.of(data, scored.fitted, scored.matrix))
         return self._finished(whole, *self._pruned(data, scored, accepted, refit=True))
 
     def _climbed(
@@ -212,36 +208,21 @@ class Selector:
             self._negligible_nm,
         )  # fmt: skip
 
-    def _ladder(self, data: Data) -> State:
-        """The first rungs: the smallest set of their laws that unseen rows do not distinguish from the best set.
-
-        They are fitted together with a rigid base from the start: a base that was fitted without them, or has more
-        freedom than the data determine, would be biased. The full base friction is a later rung.
-        """
+    def _first_rungs(self, data: Data, climbed: Ladder) -> State:
+        """The effects of the first rungs in a fit with the base: a rigid one, where the full friction is not needed."""
+        effects = [effect_at_start(one, data.runs, self.facts.absolute_angle) for one in climbed.accepted]
+        self.search.tried += climbed.tried
         rigid = rigid_of(data)
-        laws = [name for name, law in LAWS.items() if law.rung < WAVE_RUNG and name not in self.search.without]
-        if self.facts.units != "rotary" or data.rows.turns < GRAVITY_PERIODS * (self.facts.gear_ratio or 1.0):
-            laws.remove("unbalance")
-        laws = [name for name in laws if "ladder" not in self.ablate and self._distinct(rigid, name)]
-        sets = [chosen for size in range(len(laws) + 1) for chosen in itertools.combinations(laws, size)]
 
-        def fitted(data: Data, chosen: tuple[str, ...]) -> ScoredFit:
-            own = [starting_effect(name, self.facts) for name in chosen]
-            return scored_fit(data, fit(data, data.start, own, LADDER_ITERATIONS))
+        def fitted(job: tuple[Data, list[Effect]]) -> ScoredFit:
+            return scored_fit(job[0], fit(job[0], job[0].start, job[1], LADDER_ITERATIONS))
 
-        fits = list(in_threads(lambda chosen: fitted(rigid, chosen), sets))
-        chosen = self._smallest(rigid, sets, fits)
-        simple = fits[chosen]
-        whole, bare = in_threads(lambda own: fitted(data, own), (sets[chosen], ()))
-        folds = data.folds
-        if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, folds).holds:
-            data, whole, bare = rigid, simple, fits[0]
-        share = share_gone(bare.fitted, whole.fitted)
-        if not sets[chosen] or share < LEAST_SHARE:
-            return *settled(data, bare.fitted), []
+        simple, whole = in_threads(fitted, [(rigid, effects), (data, effects)])
+        if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, data.folds).holds:
+            data, whole = rigid, simple
         accepted = [
-            Accepted(name, gain(bare.unseen, whole.unseen, folds), 0.0, share, family, (), len(sets))
-            for name, family in zip(sets[chosen], self._families(sets, fits, chosen, folds), strict=True)
+            Accepted(one.candidate.name, one.gain, 0.0, one.share, one.candidate.family, (), climbed.tried)
+            for one in climbed.accepted
         ]
         data, scored = settled(data, whole.fitted)
         return self._pruned(data, scored, accepted)
@@ -258,44 +239,6 @@ class Selector:
         if not gain(scored.unseen, found.unseen, data.folds).holds:
             return data, scored
         return settled(freed, found.fitted)
-
-    def _smallest(self, data: Data, sets: Sequence[tuple[str, ...]], fits: Sequence[ScoredFit]) -> int:
-        """The smallest set that is not worse than the best; among equal sizes the first that is not worse than the
-        others.
-
-        A constant torque is tried before a friction that differs by direction.
-        """
-        folds = data.folds
-
-        def best(of: Sequence[int]) -> ScoredFit:
-            return fits[min(of, key=lambda k: float(fits[k].unseen.sum()))]
-
-        first = best(range(len(sets)))
-        size = min(len(own) for own, one in zip(sets, fits, strict=True) if not _worse(first, one, folds))
-        alike = [k for k, own in enumerate(sets) if len(own) == size]
-        return next(k for k in alike if not _worse(best(alike), fits[k], folds))
-
-    def _families(
-        self, sets: Sequence[tuple[str, ...]], fits: Sequence[ScoredFit], chosen: int, folds: Folds
-    ) -> list[tuple[str, ...]]:
-        """For each law of the chosen set, the laws that could replace it."""
-        own = sets[chosen]
-        found = []
-        for name in own:
-            rest = set(own) - {name}
-            found.append(tuple(
-                next(iter(set(other) - rest)) for other, one in zip(sets, fits, strict=True)
-                if len(other) == len(own) and rest < set(other) and name not in other
-                and not _worse(fits[chosen], one, folds)
-            ))  # fmt: skip
-        return found
-
-    def _distinct(self, data: Data, name: str) -> bool:
-        """Whether a law differs from the base, which represents a constant torque where all runs turn one way."""
-        start = evaluate(data, data.start, ())[0]
-        effect = starting_effect(name, self.facts)
-        own = strength_columns(data.rows, consistent_scenes(data, data.start, ()), name, effect.shapes).values
-        return quick_score(evidence_of(data, start, jacobian(data, start)), data.white(own)).rank > 0
 
     def _round(
         self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
@@ -517,6 +460,16 @@ class Selector:
             numbers = own.stop - own.start
             p = 2.0 * min(p, chance(data, alone.fitted, beside.fitted, numbers, evidence.negligible_nm))
         return min(1.0, p * tried)
+
+
+def effect_at_start(one: AcceptedEffect, runs: int, absolute: bool) -> Effect:
+    """An effect of the first rungs with its strengths; of a single run a wave has a datum of its own."""
+    candidate, law = one.candidate, law_of(one.candidate.name)
+    shapes = {p.name: p.typical for p in law.shapes} | dict(candidate.shape)
+    by_run = one.coefficients.reshape(runs if candidate.per_run else 1, len(candidate.strengths))
+    own = candidate.per_run or (runs == 1 and not absolute)
+    per_run = frozenset(law.per_run) & frozenset(candidate.strengths) if own else frozenset()
+    return Effect(candidate.name, shapes, dict(zip(candidate.strengths, by_run.T, strict=True)), per_run)
 
 
 def _beyond_laws(

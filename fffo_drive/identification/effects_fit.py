@@ -10,8 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its modules load where they are first used
 
 from ..arrays import Floats
+from ..model.effects.registry import law_of
 from ..model.effects.table import Term
 from ..model.parameters import EffectModel, effect_model
 from .coordinates import PARAMETERS, Coordinates
@@ -30,6 +32,15 @@ class FittedEffect(NamedTuple):
     sd: Mapping[str, float]
     per_run: Mapping[str, tuple[float, ...]]
     per_run_sd: Mapping[str, tuple[float, ...]]
+
+    @property
+    def chance(self) -> float:
+        """p-value of its strengths where they are zero, by the standard deviations of the fit; 0 where all are held."""
+        names = {p.name for p in law_of(self.name).strengths}
+        pairs = [(self.values[name], sd) for name, sd in self.sd.items() if name in names]
+        pairs += [pair for name, sd in self.per_run_sd.items() for pair in zip(self.per_run[name], sd, strict=True)]
+        known = [value / sd for value, sd in pairs if sd > 0.0]
+        return float(scipy.stats.chi2.sf(sum(one * one for one in known), len(known))) if known else 0.0
 
     def term(self, run: int = 0) -> Term:
         """The effect in one run."""

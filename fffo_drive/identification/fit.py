@@ -26,7 +26,7 @@ from .dataset import SAME_RATE, DataError, Record
 from .effects_fit import COULOMB, STATIC, FittedEffect, effects_of, joint_coordinates, scales_of
 from .facts import DriveFacts
 from .kinematics import low_pass
-from .ladder import Ladder, climb
+from .ladder import LARGEST_P, Ladder, climb
 from .layout import EffectLayout, EffectStart, layout_of
 from .noise_bias import noise_shift
 from .prediction import Problem, make_problem, residual, residuals
@@ -109,6 +109,8 @@ def fit_records(
 ) -> Fit:  # fmt: skip
     """Fit one axis, with the effects of the first rungs, to one or several records of it.
 
+    An effect whose strength in the fit may be zero is left out again, the weakest first (backward elimination): a wave
+    at which the rows of the ladder hint, of the hundreds that were tried, can be another effect's.
     Raises DataError if the data do not permit a fit.
     """
     settings = settings or FitSettings()
@@ -116,12 +118,28 @@ def fit_records(
     _same_rate(records)
     tell(0.0, "start")
     start = regression_start(records)
-    ladder = None
-    effects = settings.effects
-    if effects is None:
-        ladder = climb(records, start, facts)
-        start = ladder.start
-        effects = tuple(one.start(len(records)) for one in ladder.accepted)
+    if settings.effects is not None:
+        return _fit(records, settings, facts, tell, start, settings.effects)
+    ladder = climb(records, start, facts)
+    while True:
+        accepted = sorted(ladder.accepted, key=lambda one: one.candidate.name != OFFSET)  # as the effects of a fit
+        effects = tuple(one.start(len(records)) for one in accepted)
+        fit = _fit(records, settings, facts, tell, ladder.start, effects)._replace(ladder=ladder)
+        chances = [effect.chance * ladder.tried for effect in fit.effects]
+        if max(chances, default=0.0) <= LARGEST_P:
+            return fit
+        weakest = accepted[int(np.argmax(chances))]
+        ladder = ladder._replace(accepted=tuple(one for one in ladder.accepted if one is not weakest))
+
+
+def _fit(
+    records: Sequence[Record],
+    settings: FitSettings,
+    facts: DriveFacts | None,
+    tell: Progress,
+    start: TorqueStart,
+    effects: Sequence[EffectStart],
+) -> Fit:
     problems = start_problems(start, records[0].torque_constant_nm_per_a, facts.rated_current_a if facts else None)
     if problems and start.has_inertia:
         raise DataError("\n".join(problems))
@@ -164,7 +182,7 @@ def fit_records(
     fit = Fit(
         physical[: len(PARAMETERS)], uncertainty, space, problem, solution, start, lag_s, lag_sd_s, literal_loss,
         tuple(_warnings(solution, space, literal_loss)), (),
-        (*constant, *effects_of(problem.layout, physical, uncertainty.sd)), ladder,
+        (*constant, *effects_of(problem.layout, physical, uncertainty.sd)),
     )  # fmt: skip
     tell(0.95, "residuals")
     terms = [fit.terms(k) for k in range(len(records))]

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ..arrays import Floats
 from ..least_squares import least_squares, sums_by
 from ..model.effects.registry import law_of
-from .criterion import SDS, Folds, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
+from .criterion import SDS, Folds, Gain, clipped, folds_of, gain, hotelling_p, levels, unseen_loss
 from .dataset import CUTOFF_PERIODS, Record
 from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER, stroke_lengths_rev
@@ -54,6 +54,7 @@ class EffectCandidate(NamedTuple):
     shape: Mapping[str, float]
     order: float  # per motor turn; 0: no wave
     per_run: bool  # a phase for each run
+    family: tuple[str, ...] = ()  # laws that the rows do not distinguish from it
 
 
 class AcceptedEffect(NamedTuple):
@@ -61,8 +62,7 @@ class AcceptedEffect(NamedTuple):
 
     candidate: EffectCandidate
     coefficients: Floats  # strengths; one set per run if its phase is per run
-    gain: float  # nats, on rows that were not in the fit
-    gain_sd: float
+    gain: Gain
     p: float  # p-value, over all candidates tried
     share: float  # share of the squared residual left by the others
 
@@ -106,8 +106,13 @@ class _Weighted(NamedTuple):
     residual: Floats
 
 
-def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None = None) -> Ladder:
-    """Climb the rungs on records of one rate, starting from the axis of the regression."""
+def climb(
+    records: Sequence[Record],
+    start: TorqueStart,
+    facts: DriveFacts | None = None,
+    without: frozenset[str] = frozenset(),
+) -> Ladder:
+    """Climb the rungs on records of one rate, starting from the axis of the regression; `without`: laws left out."""
     linear = facts is not None and facts.units == "linear"
     bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
     same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
@@ -116,6 +121,7 @@ def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | Non
     for rung in range(CONSTANT_TORQUE, CONSTANT_TORQUE + 2 if linear else WAVES + 1):
         while len(chosen) < MOST_EFFECTS:
             candidates, looked_at = _on_rung(bench, rung, chosen, facts, same_zero)
+            candidates = [one for one in candidates if one.name not in without]
             tried += looked_at
             best = _best(bench, chosen, candidates, max(looked_at, 1))
             if best is None:
@@ -127,7 +133,7 @@ def climb(records: Sequence[Record], start: TorqueStart, facts: DriveFacts | Non
         if not weak:
             return Ladder(tuple(found), _improved(bench, chosen, start), tried, cutoff_hz)
         # of two equivalent candidates neither is needed given the other: the higher rung is removed first
-        del chosen[max(weak, key=lambda k: (chosen[k].rung, -found[k].gain))]
+        del chosen[max(weak, key=lambda k: (chosen[k].rung, -found[k].gain.value))]
     return Ladder((), start, tried, cutoff_hz)
 
 
@@ -183,10 +189,9 @@ def _on_rung(
             EffectCandidate(rung, "asymmetric_viscous", ("excess_nm_per_rps",), {}, 0.0, False),
         ]
     elif rung == GRAVITY:
-        ratios = {1.0, (facts.gear_ratio if facts is not None else None) or 1.0}
+        ratio = (facts.gear_ratio if facts is not None else None) or 1.0
         found = [
             EffectCandidate(rung, "unbalance", ("cos_nm", "sin_nm"), {"ratio": ratio}, 1.0 / ratio, per_run)
-            for ratio in sorted(ratios, reverse=True)
             for per_run in ((False,) if same_zero else (False, True))
         ]
     else:
@@ -380,7 +385,9 @@ def _best(
         behind = gain(one[2], top[2], bench.folds, bench.rows.sliding)
         if one is top or behind.value <= SDS * behind.sd:
             family.append(one)
-    return min(family, key=lambda one: one[3])[0]
+    chosen_one = min(family, key=lambda one: one[3])[0]
+    others = dict.fromkeys(one[0].name for one in family if one[0].name != chosen_one.name)
+    return chosen_one._replace(family=tuple(others))
 
 
 def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, tried: int) -> AcceptedEffect:
@@ -393,14 +400,14 @@ def _given_others(bench: _Bench, chosen: Sequence[EffectCandidate], k: int, trie
     found = gain(without, unseen_loss(white.residual, judged, bench.folds), bench.folds, bench.rows.sliding)
     values = least_squares(judged, white.target, _counts(bench, chosen[k]).astype(np.float64)).values
     return AcceptedEffect(
-        chosen[k], values[white.known.shape[1] :], found.value, found.sd,
+        chosen[k], values[white.known.shape[1] :], found,
         _chance(bench, white, columns, tried), _explained(white, columns),
     )  # fmt: skip
 
 
 def stands(one: AcceptedEffect) -> bool:
     """Whether the evidence for an effect, given all others, is enough, and its size one that the law permits."""
-    return one.gain > SDS * one.gain_sd and one.share > LEAST_SHARE and one.p <= LARGEST_P and _is_possible(one)
+    return one.gain.holds and one.share > LEAST_SHARE and one.p <= LARGEST_P and _is_possible(one)
 
 
 def _is_possible(one: AcceptedEffect) -> bool:

@@ -29,7 +29,7 @@ from .rows import (
     turns_one_way,
 )
 
-EXPONENTS = (0.7, 1.0, 1.5, 2.0)
+EXPONENTS = (1.0, 1.5, 2.0)  # below, a curve of half the top speed takes in a drag
 LEAST_ROWS = 200
 # Noise of the acceleration makes the inertia small. The cut-off is halved while that raises the inertia by LOST_INERTIA
 # and what the acceleration explains by BETTER_TOLD (a Hall sensor of 42 edges a turn: 40 to 10 Hz; measured and blind

@@ -184,7 +184,7 @@ def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dic
         if accepted:
             one = accepted[k]
             row |= {
-                "gain": one.gain, "gain_sd": one.gain_sd, "p": one.p, "share_of_the_others_residual": one.share,
+                "gain": one.gain.value, "gain_sd": one.gain.sd, "p": one.p, "share_of_the_others_residual": one.share,
             }  # fmt: skip
         found.append(row)
     return found

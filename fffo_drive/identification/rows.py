@@ -164,31 +164,38 @@ class Rigid(NamedTuple):
 
 
 def rigid_balance(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> Rigid:
-    """Scan of the delay (s) from command to torque, on to LAST_DELAY_S where it has to be, and a parabola."""
+    """Scan of the delay (s) from command to torque, on to LAST_DELAY_S where it has to be, and a parabola.
+
+    Weight on the shaft would bias the delay: in the scan it has columns of its own.
+    """
     period_s = stretches[0].motion.period_s
-    found: list[tuple[float, float, float]] = []  # loss, inertia, told
+    losses: list[float] = []
     count = longest_delay_samples(period_s)
     while True:
-        for sample in range(2 * len(found), count + 1, 2):
+        for sample in range(2 * len(losses), count + 1, 2):
             rows = rows_at(stretches, cutoff_hz, sample * period_s)
-            found.append(_balance(rigid_columns(rows)[rows.sliding], rows.torque_nm[rows.sliding]))
-        best = min(range(len(found)), key=lambda k: found[k][0])
+            angle = 2.0 * np.pi * rows.position_rev
+            columns = np.column_stack([rigid_columns(rows), np.cos(angle), np.sin(angle)])
+            losses.append(robust_least_squares(columns[rows.sliding], rows.torque_nm[rows.sliding])[1])
+        best = int(np.argmin(losses))
         last = math.ceil(LAST_DELAY_S / period_s)
-        if best < len(found) - 1 or count >= last:
+        if best < len(losses) - 1 or count >= last:
             break
         count = last
-    delays = 2.0 * period_s * np.arange(len(found), dtype=np.float64)
-    delay_s = parabola_minimum(delays, np.array([loss for loss, _, _ in found]))
-    return Rigid(delay_s or 0.0, delay_s is not None, *found[best][1:])
+    delays = 2.0 * period_s * np.arange(len(losses), dtype=np.float64)
+    delay_s = parabola_minimum(delays, np.array(losses))
+    rows = rows_at(stretches, cutoff_hz, delays[best])
+    return Rigid(delay_s or 0.0, delay_s is not None, *_inertia(rows))
 
 
-def _balance(columns: Floats, torque_nm: Floats) -> tuple[float, float, float]:
-    """Loss, inertia, and what the acceleration explains."""
-    fit, loss, _ = robust_least_squares(columns, torque_nm)
+def _inertia(rows: RegressionRows) -> tuple[float, float]:
+    """Inertia, and what the acceleration explains."""
+    torque_nm = rows.torque_nm[rows.sliding]
+    fit, loss, _ = robust_least_squares(rigid_columns(rows)[rows.sliding], torque_nm)
     inertia = float(fit.values[ACCELERATION])
     variance = fit.spectrum.inverse()[ACCELERATION, ACCELERATION] / fit.spectrum.lengths[ACCELERATION] ** 2
     explained = inertia * inertia / variance
-    return loss, inertia, explained / (explained + loss * torque_nm.size)
+    return inertia, explained / (explained + loss * torque_nm.size)
 
 
 def longest_delay_samples(period_s: float) -> int:

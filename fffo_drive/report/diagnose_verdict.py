@@ -66,7 +66,7 @@ def _effects_found(diagnosis: Diagnosis, effects: Sequence[Finding], model_path:
     effects = lead_first(effects)
     shown = [finding for finding in effects if not unproven(finding)] or effects
     lead = shown[0]
-    others = list(dict.fromkeys(plain_name(finding) for finding in shown[1:]))
+    others = [name for name in dict.fromkeys(plain_name(one) for one in shown[1:]) if name != plain_name(lead)]
     more = f", and {names_of(others[:SHOWN_NAMES])}" if others else ""
     more += f" and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
     law = law_of(lead.name)

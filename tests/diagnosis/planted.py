@@ -123,7 +123,7 @@ def based(records: list[Record], facts: DriveFacts = FACTS) -> tuple[Data, Fitte
 
 def started(records: list[Record], facts: DriveFacts = FACTS) -> Data:
     """Data as a search begins with them."""
-    return prepared(records, facts, None, make_filter(records[0].period_s))
+    return prepared(records, facts, make_filter(records[0].period_s))[0]
 
 
 def effect(name: str, strengths: dict[str, float], **shapes: float) -> Effect:

@@ -351,6 +351,15 @@ def test_a_steady_law_that_held_out_runs_show_clearly_is_a_cause_whatever_remain
     assert "does not stand out" in doubts(law | {"name": "unknown:time"}, curve, rest=HALF)[0]
 
 
+def test_a_curve_that_held_out_runs_show_less_clearly_does_not_count_against_a_law():
+    """EMPS' pulses: the viscous friction gains 753 nats on the other file, a curve over the position 186."""
+    law = {"name": "asymmetric_viscous", "explained_fraction": 0.49, "strength_variation": 0.18}
+    curve = {"name": "unknown:output_angle", "explained_fraction": 0.5, "held_out_gain": (186.0, 22.0)}
+    assert doubts(law | {"held_out_gain": (753.0, 106.0)}, curve) == ["", ""]
+    assert "does not stand out" in doubts(law | {"held_out_gain": (185.0, 20.0)}, curve)[0]
+    assert "does not stand out" in doubts(law | {"held_out_gain": None}, curve)[0]
+
+
 def test_what_varies_from_place_to_place_is_in_doubt_by_law_or_curve():
     for name in ("quadratic_drag", "torque_offset", "unknown:velocity"):
         finding = {"name": name, "explained_fraction": 0.9, "held_out_gain": (9.0, 1.0)}

@@ -170,11 +170,10 @@ def test_a_share_of_an_inertia_that_the_data_do_not_determine_is_not_believed():
     assert "an inertia that the data do not determine" in objection(data, model, unsure, NONE)
 
 
-def test_what_a_later_rung_changes_of_the_inertia_the_data_do_not_determine():
+def test_where_a_force_balance_gives_another_inertia_the_data_do_not_determine_it():
     _, _, reference = axis()
-    same = reference.and_then(reference._replace(needed_nm=1.0))
-    assert same == reference._replace(needed_nm=1.0)
-    light = reference.and_then(reference._replace(inertia_nm_s2_per_rev=0.2 * reference.inertia_nm_s2_per_rev))
+    assert reference.beside(reference.inertia_nm_s2_per_rev) == reference
+    light = reference.beside(0.2 * reference.inertia_nm_s2_per_rev)
     assert light.inertia_sd == pytest.approx(np.log(5.0))
     assert not light.inertia_is_determined
 

@@ -5,18 +5,25 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis.planted import FACTS, INERTIA, KT, effect, left, nothing, only, planted, runs, started
+from diagnosis.planted import FACTS, INERTIA, effect, left, nothing, only, planted, runs, started
 from scipy import stats
 
 from fffo_drive.diagnosis import gates, select
 from fffo_drive.diagnosis.base import BASE, NAMES, RIGID
-from fffo_drive.diagnosis.diagnose import DiagnosisSettings
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings, prepared
 from fffo_drive.diagnosis.fitting import Fitted, fit, share_gone
 from fffo_drive.diagnosis.gates import ReferenceAxis
-from fffo_drive.diagnosis.propose import LAW_RUNG, WAVE_RUNG, Proposal, Score, Search
-from fffo_drive.diagnosis.scenes import starting_effect
-from fffo_drive.diagnosis.scored import ScoredFit, base_of, chance, scored_fit, settled, without
-from fffo_drive.diagnosis.select import LAW_OF_CURVE, Accepted, Contender, Selector, numbers_of, refitted
+from fffo_drive.diagnosis.propose import LAW_RUNG, Proposal, Score, Search
+from fffo_drive.diagnosis.rows import make_filter
+from fffo_drive.diagnosis.scored import ScoredFit, base_of, chance, renewed, scored_fit, settled, without
+from fffo_drive.diagnosis.select import (
+    LAW_OF_CURVE,
+    Accepted,
+    Contender,
+    Selector,
+    effect_at_start,
+    refitted,
+)
 from fffo_drive.identification.criterion import SMALLEST_P, Gain, gain
 
 OFFSET_NM = 0.006
@@ -54,9 +61,24 @@ LOADS = {f.__name__: f for f in (nothing, constant, wave, waves, gravity, drag, 
 
 
 @cache
+def begun(load="nothing", *laws, facts=FACTS):
+    """Data as a search over these laws begins with them, of two runs, and the first rungs."""
+    return at_start(runs(LOADS[load], LOADS[load], duration_s=10.0), *laws, facts=facts)
+
+
+def at_start(records, *laws, facts=FACTS):
+    """The same for other runs."""
+    return prepared(records, facts, make_filter(records[0].period_s), without=only(*laws) if laws else frozenset())
+
+
+def bare(load):
+    """The same without first rungs."""
+    return begun(load, "quadratic_drag")
+
+
 def data_with(load="nothing"):
-    """Data as a search begins with them, of two runs."""
-    return started(runs(LOADS[load], LOADS[load], duration_s=10.0))
+    """The data alone."""
+    return begun(load)[0]
 
 
 def selector(*laws, ablate=CURVES, rate=0.01, facts=FACTS):
@@ -68,7 +90,7 @@ def selector(*laws, ablate=CURVES, rate=0.01, facts=FACTS):
 @cache
 def found(load, *laws, ablate=CURVES, rate=0.01):
     """What a search finds on an axis."""
-    return selector(*laws, ablate=ablate, rate=rate).run(data_with(load))
+    return selector(*laws, ablate=ablate, rate=rate).run(*begun(load, *laws))
 
 
 def names(selection):
@@ -108,13 +130,13 @@ def test_gravity_is_the_ladders():
     assert np.hypot(wave_nm["cos_nm"][0], wave_nm["sin_nm"][0]) == pytest.approx(0.01, rel=0.05)
     assert names(found("gravity", "torque_offset")) == []
     few_turns = FACTS.model_copy(update={"gear_ratio": 1000.0})  # less than a quarter of the output's turn
-    near = selector("torque_offset", "unbalance", facts=few_turns)
-    assert "unbalance" not in [e.name for e in near._ladder(data_with("gravity"))[1].fitted.effects]
+    assert not begun("gravity", "torque_offset", "unbalance", facts=few_turns)[1].accepted
 
 
-def test_without_the_ladder_its_laws_come_later_or_not_at_all():
-    search = selector("torque_offset", ablate=CURVES | {"ladder"})
-    _, scored, accepted = search._ladder(data_with("constant"))
+def test_what_is_left_out_is_not_on_the_ladder():
+    data, climbed = begun("constant", "unbalance")
+    assert not climbed.accepted
+    _, scored, accepted = selector("unbalance")._first_rungs(data, climbed)
     assert accepted == []
     assert scored.fitted.effects == ()
 
@@ -123,24 +145,26 @@ def test_what_the_base_can_say_is_none_of_the_ladder():
     """Where all runs turn one way a constant torque and Coulomb friction are one thing."""
     whole = runs(constant, constant, peak_a=0.15, bias_a=0.4, duration_s=10.0)
     inner = slice(1500, -1500)
-    one_way = started([
-        replace(one, position_rev=one.position_rev[inner], current_a=one.current_a[inner]) for one in whole
-    ])  # fmt: skip
-    search = selector("torque_offset")
-    assert not search._distinct(one_way._replace(free=RIGID), "torque_offset")
-    assert search._distinct(data_with("constant")._replace(free=RIGID), "torque_offset")
-    assert names(search.run(one_way)) == []
-    search = selector("torque_offset")
-    assert len(search._ladder(data_with("constant"))[2]) == 1
-    search._distinct = lambda data, name: False
-    assert search._ladder(data_with("constant"))[2] == []
+    one_way = [replace(one, position_rev=one.position_rev[inner], current_a=one.current_a[inner]) for one in whole]
+    begin = at_start(one_way, "torque_offset")
+    assert not begin[1].accepted
+    assert names(selector("torque_offset").run(*begin)) == []
+    assert len(selector("torque_offset")._first_rungs(*begun("constant", "torque_offset"))[2]) == 1
+
+
+def test_a_wave_of_a_single_run_has_a_datum_of_its_own_unless_the_angle_is_absolute():
+    (one,) = at_start(runs(wave, duration_s=10.0), "cogging")[1].accepted
+    assert effect_at_start(one, 1, absolute=False).per_run == {"cos_nm", "sin_nm"}
+    assert effect_at_start(one, 1, absolute=True).per_run == frozenset()
+    assert effect_at_start(one, 1, absolute=True).sizes() == []
+    assert effect_at_start(one, 1, absolute=False).sizes() == pytest.approx([WAVE_NM], rel=0.1)
 
 
 # The rounds
 
 
-def test_a_wave_of_no_order_of_the_machine_is_found_among_the_laws_with_its_chance():
-    selection = found("wave", "cogging", "quadratic_drag")
+def test_a_wave_is_found_among_the_laws_with_its_chance():
+    selection = selector("cogging", "quadratic_drag").run(*bare("wave"))
     assert names(selection) == ["cogging"]
     assert selection.fitted.effects[0].shapes["order"] == pytest.approx(5.0, abs=0.01)
     (note,) = selection.accepted
@@ -168,8 +192,8 @@ def test_the_chance_is_over_everything_that_was_tried_and_computed_for_what_stan
 def test_a_full_lag_stands_though_its_strength_is_that_of_the_delay():
     """With all of the torque behind a lag, the column of its strength is that of the delay."""
     lag_s = 0.008
-    data = started(runs(LOADS["wave"], LOADS["wave"], duration_s=10.0, lag_s=lag_s))
-    selection = selector("current_lag", "cogging").run(data)
+    records = runs(LOADS["wave"], LOADS["wave"], duration_s=10.0, lag_s=lag_s)
+    selection = selector("current_lag", "cogging").run(*at_start(records, "current_lag", "cogging"))
     assert sorted(names(selection)) == ["cogging", "current_lag"]
     lag = names(selection).index("current_lag")
     assert selection.fitted.effects[lag].shapes["tau_s"] == pytest.approx(lag_s, rel=0.05)
@@ -307,7 +331,7 @@ def test_a_round_without_anything_believed_is_the_end_of_a_rung(round_of):
 
 def test_an_effect_to_which_something_is_objected_is_refused_with_the_reason(monkeypatch):
     monkeypatch.setattr(select, "objection", lambda data, fitted, reference, ablate: "implausible for a machine")
-    selection = selector("cogging").run(data_with("wave"))
+    selection = selector("cogging").run(*bare("wave"))
     assert names(selection) == []
     (refused,) = selection.refused
     assert (refused.name, refused.reason) == ("cogging", "implausible for a machine")
@@ -316,13 +340,13 @@ def test_an_effect_to_which_something_is_objected_is_refused_with_the_reason(mon
 
 def test_a_wave_swallows_no_command_and_is_not_asked_whether_it_shrinks_the_axis(monkeypatch):
     monkeypatch.setattr(gates, "shrinking", lambda data, fitted, reference: "it shrinks")
-    assert names(selector("cogging").run(data_with("wave"))) == ["cogging"]
-    assert names(selector("quadratic_drag").run(data_with("drag"))) == []
+    assert names(selector("cogging").run(*bare("wave"))) == ["cogging"]
+    assert names(selector("quadratic_drag").run(*bare("drag"))) == []
 
 
 def test_what_becomes_misshapen_once_the_noise_is_that_of_the_new_model_is_refused(monkeypatch):
     monkeypatch.setattr(select, "implausibility", lambda data, fitted, reference, ablate: "implausible for a machine")
-    selection = selector("cogging").run(data_with("wave"))
+    selection = selector("cogging").run(*bare("wave"))
     assert names(selection) == []
     assert [(one.name, one.reason) for one in selection.refused] == [("cogging", "implausible for a machine")]
 
@@ -330,11 +354,11 @@ def test_what_becomes_misshapen_once_the_noise_is_that_of_the_new_model_is_refus
 def test_no_more_effects_than_are_allowed(monkeypatch):
     assert names(found("waves", "cogging")) == ["cogging", "cogging"]
     monkeypatch.setattr(select, "MOST_EFFECTS", 1)
-    assert names(selector("cogging").run(data_with("waves"))) == ["cogging"]
+    assert names(selector("cogging").run(*bare("waves"))) == ["cogging"]
 
 
 def test_a_curve_stands_only_where_it_says_more_than_any_law():
-    law = found("wave", "cogging", ablate=frozenset())
+    law = selector("cogging", ablate=frozenset()).run(*bare("wave"))
     assert names(law) == ["cogging"]
     assert any(one.name == "unknown:motor_angle" and one.score.p < 0.01 / law.accepted[0].tried for one in law.first)
     free = found("wave", "torque_offset", ablate=frozenset())
@@ -418,25 +442,25 @@ def test_chance_is_judged_after_the_refit_of_a_law_and_before_that_of_a_curve(mo
         return [one._replace(score=one.score._replace(p=1.0)) for one in found]
 
     monkeypatch.setattr(Search, "proposals", poor)
-    selection = selector("cogging").run(data_with("wave"))
+    selection = selector("cogging").run(*bare("wave"))
     assert names(selection) == ["cogging"]
     assert selection.accepted[0].p < 0.01  # that of the refit
-    assert names(selector("torque_offset", ablate=()).run(data_with("wave"))) == []
+    assert names(selector("torque_offset", ablate=()).run(*bare("wave"))) == []
     monkeypatch.setattr(select.Selector, "_chance", lambda self, data, alone, beside, number, tried: 1.0)
-    assert names(selector("cogging").run(data_with("wave"))) == []
+    assert names(selector("cogging").run(*bare("wave"))) == []
 
 
 def test_a_drag_is_found_though_the_base_has_bent_to_take_it_in():
     data, scored, _ = at_the_start("drag")
     own = effect("quadratic_drag", {"drag_nm_per_rps2": 1e-6})
     one = Proposal("quadratic_drag", "quadratic_drag", 3, own, np.zeros((1, 1)), Score(1.0, np.zeros(1), 1, 0.0))
-    fitted = refitted(data, scored.fitted, one, promised=1.0, two_starts=True)
-    assert fitted.effects[0].strengths["drag_nm_per_rps2"][0] == pytest.approx(3e-5, rel=0.1)
+    _, kept = renewed(data, refitted(data, scored.fitted, one, promised=1.0, two_starts=True))
+    assert kept.fitted.effects[0].strengths["drag_nm_per_rps2"][0] == pytest.approx(3e-5, rel=0.1)
 
 
 def test_the_reference_of_the_gates_is_the_axis_by_the_first_rungs():
     search = selector("torque_offset", "cogging")
-    search.run(data_with("constant"))
+    search.run(*begun("constant", "torque_offset", "cogging"))
     assert isinstance(search.reference, ReferenceAxis)
     assert search.reference.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.02)
     assert [e.name for e in search.ladder.fitted.effects] == ["torque_offset"]
@@ -503,12 +527,12 @@ def test_the_friction_of_the_whole_base_comes_back_where_unseen_rows_ask_for_it(
 def of_two_payloads(ratio):
     first, second = planted(seed=1, name="a"), planted(seed=2, name="b", begin_s=14.0)
     third = planted(seed=3, name="c", begin_s=28.0, inertia=ratio * INERTIA)
-    return started([first, second, third])
+    return [first, second, third]
 
 
 def test_runs_of_another_inertia_contradict_each_other_and_the_search_stops():
-    data = of_two_payloads(1.34)
-    selection = selector("torque_offset", "quadratic_drag", "cogging", "asymmetric_viscous").run(data)
+    laws = ("torque_offset", "quadratic_drag", "cogging", "asymmetric_viscous")
+    selection = selector(*laws).run(*at_start(of_two_payloads(1.34), *laws))
     ratios = np.array(selection.inertia_ratios)
     assert names(selection) == []
     assert ratios.size == 3
@@ -518,18 +542,18 @@ def test_runs_of_another_inertia_contradict_each_other_and_the_search_stops():
 
 def test_runs_of_one_inertia_and_a_single_run_contradict_nothing():
     assert found("wave", "cogging", "quadratic_drag").inertia_ratios == ()
-    alone = started([planted(duration_s=10.0)])
-    assert selector("quadratic_drag").run(alone).inertia_ratios == ()
+    alone = at_start([planted(duration_s=10.0)], "quadratic_drag")
+    assert selector("quadratic_drag").run(*alone).inertia_ratios == ()
 
 
 def test_an_inertia_that_differs_by_less_than_counts_is_no_contradiction(monkeypatch):
     monkeypatch.setattr(select, "CONTRADICTION_SHARE", 0.5)
-    selection = selector("quadratic_drag").run(of_two_payloads(1.34))
+    selection = selector("quadratic_drag").run(*at_start(of_two_payloads(1.34), "quadratic_drag"))
     assert selection.inertia_ratios == ()
 
 
 def test_an_effect_that_explains_unseen_rows_better_than_an_inertia_for_each_run_is_no_contradiction():
-    data = of_two_payloads(1.34)
+    data = started(of_two_payloads(1.34))
     data, scored = settled(data, base_of(data))
     evidence = select.evidence_of(data, scored.fitted, scored.matrix)
     search = selector()
@@ -564,12 +588,3 @@ def test_strengths_that_are_far_out_do_not_spoil_a_fit():
     own = effect("torque_offset", {"torque_nm": 50.0})
     one = Proposal("torque_offset", "torque_offset", 0, own, np.zeros((1, 1)), Score(1.0, np.zeros(1), 1, 0.0))
     assert refitted(data, scored.fitted, one, 0.5, False).loss < scored.fitted.loss
-
-
-def test_a_law_begins_without_strength_at_its_own_shape():
-    begun = starting_effect("unbalance", FACTS.model_copy(update={"gear_ratio": 50.0}))
-    assert begun.shapes == {"ratio": 50.0}
-    assert not any(v.any() for v in begun.strengths.values())
-    assert numbers_of(at_the_start()[1].fitted._replace(effects=(begun,))) >= 2
-    assert FACTS.torque_constant_nm_per_a == KT
-    assert WAVE_RUNG < LAW_RUNG

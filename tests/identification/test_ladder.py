@@ -11,6 +11,7 @@ from identification.rig import random_plant, record
 from identification.synthetic import AXIS, PERIOD_S, TRUTH, chirp_record, record_of
 
 from fffo_drive.drive.simulated.parameters import EffectConfig, PlantConfig
+from fffo_drive.identification.criterion import Gain
 from fffo_drive.identification.excitation import identification_sequence, separating_recipe
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.identification.fit import FitSettings, fit_records
@@ -43,7 +44,7 @@ def test_a_constant_torque_is_the_lowest_rung():
     assert names(ladder) == [("torque_offset", 0.0)]
     (one,) = ladder.accepted
     assert one.coefficients == pytest.approx([0.004], rel=0.01)
-    assert one.gain > 2.0 * one.gain_sd
+    assert one.gain.holds
     assert one.p < 1e-6
     assert one.start(1).values == pytest.approx({"torque_nm": 0.004}, rel=0.01)
 
@@ -60,7 +61,10 @@ def test_friction_that_would_push_in_one_direction_is_rejected(share, possible):
     # two columns that are nearly one: chirps of axis 7522 of the chain gave -45 mNm and +115 % of Fc for a
     # constant torque of -11 mNm, and the fit that began there ended at 60 times the loss
     candidate = EffectCandidate(1, "asymmetric_coulomb", ("share",), {}, 0.0, False)
-    assert stands(AcceptedEffect(candidate, np.array([share]), 84.0, 30.0, 0.003, 0.06)) is possible
+    assert (
+        stands(AcceptedEffect(candidate, np.array([share]), Gain(84.0, 30.0, np.full(8, 10.5)), 0.003, 0.06))
+        is possible
+    )
 
 
 def test_gravity_at_the_order_that_is_declared():

@@ -5,8 +5,14 @@ A fresh process per diagnosis is what a user has: compiled code is loaded, and t
 
 from __future__ import annotations
 
+import html
 import json
 import multiprocessing
+import os
+import re
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -53,6 +59,36 @@ def diagnosed(
         "wall_s": time.monotonic() - begin, "cpu_s": time.process_time(), "peak_mb": peak_mb(),
     }  # fmt: skip
     return said
+
+
+def typed(folder: Path, fit: Sequence[str], held_out: Sequence[str], out: Path) -> dict[str, Any]:
+    """The report of `fffo-drive diagnose` on the logs of a set, with `page`, the words of the opening of its page, and
+    `process`. Raises ValueError with what the command says where it writes no report.
+    """
+    words = ["--drive", "drive.yaml", "--fit", *fit, "--held-out", *held_out, "--out", str(out)]
+    begin = time.monotonic()
+    command = [sys.executable, "-m", "fffo_drive", "diagnose", *words]
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=said)
+        _, _, usage = os.wait4(process.pid, 0)
+        said.seek(0)
+        last = said.read().strip().splitlines()[-1:]
+    if not (out / "report.json").exists():
+        raise ValueError(*last)
+    found: dict[str, Any] = json.loads((out / "report.json").read_text())
+    found["page"] = opening_of((out / "report.html").read_text())
+    found["process"] = {
+        "wall_s": time.monotonic() - begin,
+        "cpu_s": usage.ru_utime + usage.ru_stime,
+        "peak_mb": usage.ru_maxrss / 1024.0,
+    }
+    return found
+
+
+def opening_of(page: str) -> str:
+    """Headline and lines of a report's page, without its tags."""
+    section = page.split('<section class="verdict"', 1)[1].split("</section>", 1)[0]
+    return " ".join(html.unescape(re.sub("<[^>]*>", " ", section.split(">", 1)[1])).split())
 
 
 def _axis_numbers(model: ModelFile | None) -> dict[str, list[float | None]]:

@@ -5,14 +5,15 @@ machine has them, `velocity_rps` and `reference_rps`. Nothing is filtered, and n
 each other only within the period in which the logger missed one.
 
 LAAS (MN4004 outrunner, heitor-andrade/laas_anti_cogging, BSD-3-Clause), BAM (XL330 servo on a pendulum, Rhoban/bam,
-Apache-2.0), EMPS (Janot, Gautier and Brunot, 2019).
+Apache-2.0), EMPS (Janot, Gautier and Brunot, 2019), Lorenz (servo with a disc, TeacherRock/Lorenz_Friction), TX40
+(joints of a Staubli robot, thanhndv212/figaroh-examples).
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,9 @@ BAM_RATE_HZ = 200.0
 FULL_LOAD = 1000.0  # counts of load at full voltage
 WRAP = 1 << 16  # load is an unsigned number of 16 bits that stands for a signed one
 BAM_ENDS = 20  # samples left out where the torque is switched
+LORENZ_RATE_HZ = 1000.0
+TX40_RATE_HZ = 5000.0
+TX40_JOINTS = (1, 6)
 
 LAAS_FACTS = {
     "torque_constant_nm_per_a": 0.025, "pole_pairs": 12, "slots": 18, "position_lsb_rev": 5.0e-5,
@@ -40,6 +44,10 @@ BAM_FACTS = {
 EMPS_FACTS = {
     "torque_constant_nm_per_a": 35.15065, "units": "linear", "position_lsb_rev": 5.0e-8, "sample_rate_hz": 1000.0,
 }  # fmt: skip
+# torque is logged in Nm: the torque constant is one by declaration
+LORENZ_FACTS = {"torque_constant_nm_per_a": 1.0, "position_lsb_rev": 1.0e-4, "sample_rate_hz": LORENZ_RATE_HZ}
+# nobody published the torque constants of the joints: torque is in A
+TX40_FACTS = {"torque_constant_nm_per_a": 1.0, "position_lsb_rev": 1.0e-6, "sample_rate_hz": TX40_RATE_HZ}
 DECIMALS = {"time_s": 4, "current_command_a": 6, "position_rev": 9, "velocity_rps": 6, "reference_rps": 6}
 
 
@@ -109,10 +117,45 @@ def write_emps(source: Path, out: Path) -> None:
         write_log(out / f"{path.stem}.csv", columns)
 
 
-WRITERS = {"laas": write_laas, "bam": write_bam, "emps": write_emps}
+def write_lorenz(source: Path, out: Path) -> None:
+    """A log a run, `Jm_1` and so on: position, velocity, their set points, torque."""
+    _begin(out, LORENZ_FACTS)
+    for path in sorted(source.glob("Lorenz_*.txt")):
+        position, velocity, _, reference, torque = np.loadtxt(path).T
+        columns = {
+            "time_s": np.arange(position.size) / LORENZ_RATE_HZ,
+            "current_command_a": torque,
+            "position_rev": position / TURN,
+            "velocity_rps": velocity / TURN,
+            "reference_rps": reference / TURN,
+        }
+        write_log(out / f"{path.stem.removeprefix('Lorenz_')}.csv", columns)
 
 
-def write_all(data: Path, out: Path) -> None:
-    """All sets below `out`; `data`: the folder with measured/ and emps/."""
-    for name, write in WRITERS.items():
+def write_tx40(source: Path, out: Path) -> None:
+    """Halves `_a`, `_b` of the one recording, for each joint."""
+    _begin(out, TX40_FACTS)
+    position, current = (
+        np.genfromtxt(source / name, delimiter=",", names=True) for name in ("pos_read_data.csv", "curr_data.csv")
+    )
+    for joint in TX40_JOINTS:
+        column = f"Joint_{joint}"
+        time_s = np.arange(position.size) / TX40_RATE_HZ
+        columns = {
+            "time_s": time_s,
+            "current_command_a": current[column],
+            "position_rev": position[column] / TURN,
+        }
+        middle = time_s.size // 2
+        for name, half in (("a", slice(0, middle)), ("b", slice(middle, None))):
+            write_log(out / f"joint{joint}_{name}.csv", {key: values[half] for key, values in columns.items()})
+
+
+WRITERS = {"laas": write_laas, "bam": write_bam, "emps": write_emps, "lorenz": write_lorenz, "tx40": write_tx40}
+
+
+def write_all(data: Path, out: Path, machines: Iterable[str] = tuple(WRITERS)) -> None:
+    """The sets of these machines below `out`; `data`: the folder with measured/ and emps/."""
+    for name in machines:
+        write = WRITERS[name]
         write(data / "emps" if name == "emps" else data / "measured" / name, out / name)

@@ -61,7 +61,7 @@ def base_rms_nm(fit: list[Record], held_out: list[Record], facts: DriveFacts) ->
     from fffo_drive.diagnosis.scored import base_of, settled
 
     filter_ = filter_for(fit, facts, DiagnosisSettings())
-    base = settled(data := prepared(fit, facts, None, filter_), base_of(data))[1].fitted
+    base = settled(data := prepared(fit, facts, filter_)[0], base_of(data))[1].fitted
     data = data_of(held_out, filter_, base.physical)
     left_nm = with_own_datum(data, base)[0].residual_nm[data.rows.kept]
     return float(np.sqrt(np.mean(left_nm**2)))
