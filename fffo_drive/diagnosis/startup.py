@@ -38,7 +38,7 @@ def starting_data(
         raise DataError("hardly anything moves in these runs: raise the excitation, or add a run at higher speed")
     if physical is None:
         problems = start_problems(start, facts.torque_constant_nm_per_a, facts.rated_current_a)
-        if problems:
+        if problems and start.has_inertia:
             raise DataError("\n".join(problems))
         physical = _physical(start, stretches, rows)
     ready = balanced(stretches, physical)

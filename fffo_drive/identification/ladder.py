@@ -26,8 +26,8 @@ from .dataset import CUTOFF_PERIODS, Record
 from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER, stroke_lengths_rev
 from .layout import EffectStart
-from .regression import TorqueStart
-from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of, turns_one_way
+from .regression import HELD_RPS2, LEAST_TOLD, TorqueStart
+from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of, told_by_acceleration, turns_one_way
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried
@@ -112,7 +112,20 @@ def climb(
     facts: DriveFacts | None = None,
     without: frozenset[str] = frozenset(),
 ) -> Ladder:
-    """Climb the rungs on records of one rate, starting from the axis of the regression; `without`: laws left out."""
+    """Climb the rungs on records of one rate, starting from the axis of the regression; `without`: laws left out.
+
+    Waves look like a noisy sensor: where the cut-off is lowered for one, they are searched at the usual one as well.
+    """
+    if start.is_noisy:
+        seen = _climbed(records, start._replace(cutoff_hz=DEFAULT_CUTOFF_HZ, is_noisy=False), facts, without)
+        if any(one.candidate.rung == WAVES for one in seen.accepted):
+            return seen
+    return _climbed(records, start, facts, without)
+
+
+def _climbed(
+    records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None, without: frozenset[str]
+) -> Ladder:
     linear = facts is not None and facts.units == "linear"
     bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
     same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
@@ -421,13 +434,16 @@ def _is_possible(one: AcceptedEffect) -> bool:
 def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueStart) -> TorqueStart:
     """The start of the fit with the accepted candidates; unchanged if the result is not a valid axis."""
     white = _weighted(bench, chosen)
-    values = least_squares(white.known, white.target).values
-    inertia, viscous, coulomb, excess = (float(value) for value in values[: bench.base.shape[1]])
-    if not ((inertia > 0.0 or not start.has_inertia) and coulomb > 0.0):
+    fit = least_squares(white.known, white.target)
+    inertia, viscous, coulomb, excess = (float(value) for value in fit.values[: bench.base.shape[1]])
+    if not coulomb > 0.0:  # torque of the wrong sign
         return start
+    static = coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0))
+    has_inertia = start.has_inertia and inertia > 0.0 and told_by_acceleration(fit, fit.cost) >= LEAST_TOLD
     return start._replace(
-        inertia_nm_s2_per_rev=inertia if start.has_inertia else start.inertia_nm_s2_per_rev,
+        inertia_nm_s2_per_rev=inertia if has_inertia else static / HELD_RPS2,
+        has_inertia=has_inertia,
         viscous_nm_per_rps=max(viscous, 1e-2 * start.viscous_nm_per_rps),
         coulomb_nm=coulomb,
-        static_nm=coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0)),
+        static_nm=static,
     )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Floats, Integers, Mask
-from ..least_squares import robust_least_squares
+from ..least_squares import LinearFit, robust_least_squares
 from .dataset import DataError, Record
 from .kinematics import (
     NOTHING_BEFORE,
@@ -192,10 +192,14 @@ def _inertia(rows: RegressionRows) -> tuple[float, float]:
     """Inertia, and what the acceleration explains."""
     torque_nm = rows.torque_nm[rows.sliding]
     fit, loss, _ = robust_least_squares(rigid_columns(rows)[rows.sliding], torque_nm)
-    inertia = float(fit.values[ACCELERATION])
+    return float(fit.values[ACCELERATION]), told_by_acceleration(fit, loss * torque_nm.size)
+
+
+def told_by_acceleration(fit: LinearFit, cost: float) -> float:
+    """Share of what friction and effects leave that the acceleration explains."""
     variance = fit.spectrum.inverse()[ACCELERATION, ACCELERATION] / fit.spectrum.lengths[ACCELERATION] ** 2
-    explained = inertia * inertia / variance
-    return inertia, explained / (explained + loss * torque_nm.size)
+    explained = float(fit.values[ACCELERATION]) ** 2 / variance
+    return float(explained / (explained + cost))
 
 
 def longest_delay_samples(period_s: float) -> int:
