@@ -20,6 +20,7 @@ from fffo_drive.diagnosis.scenes import Effect
 from fffo_drive.diagnosis.scored import base_of, settled
 from fffo_drive.identification.dataset import Record
 from fffo_drive.identification.facts import DriveFacts
+from fffo_drive.identification.ladder import Ladder
 from fffo_drive.least_squares import huber
 from fffo_drive.model.axis import AxisConfig, AxisState, simulate
 from fffo_drive.model.effects.registry import NAMES as LAWS
@@ -123,7 +124,14 @@ def based(records: list[Record], facts: DriveFacts = FACTS) -> tuple[Data, Fitte
 
 def started(records: list[Record], facts: DriveFacts = FACTS) -> Data:
     """Data as a search begins with them."""
-    return prepared(records, facts, make_filter(records[0].period_s))[0]
+    return begun(records, facts)[0]
+
+
+def begun(
+    records: list[Record], facts: DriveFacts = FACTS, without: frozenset[str] = frozenset()
+) -> tuple[Data, Ladder]:
+    """Data as a search begins with them, and the first rungs without some laws."""
+    return prepared(records, facts, make_filter(records[0].period_s), without=without)
 
 
 def effect(name: str, strengths: dict[str, float], **shapes: float) -> Effect:

@@ -4,16 +4,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis.planted import based, only
+from diagnosis.planted import based, begun, only
 from diagnosis.test_recovery import FACTS as GEARED
 from diagnosis.test_recovery import records_with
 
 from fffo_drive.diagnosis.curves import coarse_tables, fine_table, pairs_of
-from fffo_drive.diagnosis.diagnose import DiagnosisSettings, prepared
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import consistent_scenes, jacobian
 from fffo_drive.diagnosis.pictures import picture
 from fffo_drive.diagnosis.propose import LAW_RUNG, Search, evidence_of
-from fffo_drive.diagnosis.rows import make_filter
 from fffo_drive.diagnosis.scenes import Effect, load_rows
 from fffo_drive.diagnosis.select import Selector, refitted
 from fffo_drive.drive.simulated.parameters import EffectConfig
@@ -94,7 +93,7 @@ def test_the_columns_of_a_curve_are_its_law(kind):
 def test_what_two_axes_do_together_is_found_as_a_table():
     """A patch on the motor's turn that is only felt when it is passed slowly."""
     records = records_with(EffectConfig("odd_stick_patch", PATCH))
-    begin = prepared(records, GEARED, make_filter(records[0].period_s), without=only())
+    begin = begun(records, GEARED, only())
     selection = Selector(GEARED, DiagnosisSettings(without=only()), lambda share, text: None).run(*begin)
     tables = [e for e in selection.fitted.effects if across_word(e.shapes)]
     assert any(across_word(e.shapes) in ("speed", "velocity") and e.name == "unknown:motor_angle" for e in tables)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis.planted import only, started
+from diagnosis.planted import begun, only
 from diagnosis.small_axis import FACTS, LINE_HZ, MACHINE, PERIOD_S, three_sines
 
 from fffo_drive.diagnosis.select import DiagnosisSettings, Selector
@@ -22,7 +22,7 @@ def time_of(record):
 def searched(runs, *laws):
     """The selection of a search that looks at these laws alone."""
     rules = DiagnosisSettings(without=only(*laws), ablate=frozenset({"curves"}))
-    return Selector(FACTS, rules, lambda share, text: None).run(started(runs, FACTS))
+    return Selector(FACTS, rules, lambda share, text: None).run(*begun(runs, FACTS, rules.without))
 
 
 def values_of(selection, name):

@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnosis.planted import FACTS, INERTIA, effect, left, nothing, only, planted, runs, started
+from diagnosis.planted import begun as planted_begun
 from scipy import stats
 
 from fffo_drive.diagnosis import gates, select
 from fffo_drive.diagnosis.base import BASE, NAMES, RIGID
-from fffo_drive.diagnosis.diagnose import DiagnosisSettings, prepared
+from fffo_drive.diagnosis.diagnose import DiagnosisSettings
 from fffo_drive.diagnosis.fitting import Fitted, fit, share_gone
 from fffo_drive.diagnosis.gates import ReferenceAxis
 from fffo_drive.diagnosis.propose import LAW_RUNG, Proposal, Score, Search
-from fffo_drive.diagnosis.rows import make_filter
 from fffo_drive.diagnosis.scored import ScoredFit, base_of, chance, renewed, scored_fit, settled, without
 from fffo_drive.diagnosis.select import (
     LAW_OF_CURVE,
@@ -68,7 +68,7 @@ def begun(load="nothing", *laws, facts=FACTS):
 
 def at_start(records, *laws, facts=FACTS):
     """The same for other runs."""
-    return prepared(records, facts, make_filter(records[0].period_s), without=only(*laws) if laws else frozenset())
+    return planted_begun(records, facts, only(*laws) if laws else frozenset())
 
 
 def bare(load):
