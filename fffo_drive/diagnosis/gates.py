@@ -49,7 +49,7 @@ class ReferenceAxis(NamedTuple):
 
     def beside(self, inertia_nm_s2_per_rev: float) -> ReferenceAxis:
         """The axis, where a force balance gives this inertia: where the two differ, the data do not determine it."""
-        change = abs(float(np.log(self.inertia_nm_s2_per_rev / inertia_nm_s2_per_rev)))
+        change = abs(float(np.log(self.inertia_nm_s2_per_rev / max(inertia_nm_s2_per_rev, 1e-300))))
         return self._replace(inertia_sd=max(self.inertia_sd, change))
 
     @classmethod

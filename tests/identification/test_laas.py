@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,34 @@ def test_cogging_of_slots_and_poles_leads(name):
     assert max(amplitude_a, key=lambda order: amplitude_a[order]) == 72.0
     assert 0.14 < amplitude_a[72.0] < 0.26
     assert {12.0, 18.0, 24.0} <= set(amplitude_a)
+
+
+def half(name, second):
+    """Half of a file: with the authors' anti-cogging, or without."""
+    (record,) = load_records(shared_files(f"measured/laas/{name}.txt"), read_facts(FACTS))
+    middle = round(8.002 / record.period_s)
+    part = slice(middle, None) if second else slice(0, middle)
+    columns = ("current_a", "position_rev", "velocity_rps", "reference_rps", "good")
+    return replace(record, **{column: getattr(record, column)[part] for column in columns})
+
+
+def test_waves_that_look_like_a_noisy_sensor_are_found():
+    """Below the cut-off that is lowered for the noise, 10 Hz, order 72 is 72 Hz."""
+    facts, record = read_facts(FACTS), half("speed_test_old", second=False)
+    start = regression_start([record])
+    assert start.is_noisy
+    assert {72.0, 18.0, 12.0} <= {one.candidate.order for one in climb([record], start, facts).accepted}
+
+
+def test_an_inertia_that_the_acceleration_does_not_show_beside_the_waves_is_held():
+    """The waves' torque opposes the acceleration that they cause: without them the inertia is below zero."""
+    facts, record = read_facts(FACTS), half("speed_test", second=True)
+    start = regression_start([record])
+    assert start.inertia_nm_s2_per_rev < 0.0
+    climbed = climb([record], start, facts)
+    assert climbed.accepted[0].candidate.order == 72.0
+    assert not climbed.start.has_inertia
+    assert climbed.start.inertia_nm_s2_per_rev > 0.0
 
 
 @pytest.mark.slow
