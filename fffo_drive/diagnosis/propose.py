@@ -15,6 +15,7 @@ import numpy as np
 from ..arrays import Floats
 from ..identification.criterion import DISTINCT, Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
+from ..identification.ladder import HIGHEST_ORDER, SLOW_QUANTILE
 from ..identification.ranking import ranked
 from ..identification.threads import in_threads
 from ..least_squares import spectrum, sums_by
@@ -25,7 +26,6 @@ from ..units import MAD_TO_SD
 from .base import NAMES
 from .curves import Curve, CurvePair, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
-from .rows import HIGHEST_ORDER, SLOW_QUANTILE
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
 from .spectra import HIGHEST_ORDER as TURN_ORDER
 from .spectra import frequency_peaks, order_peaks, slow_orders

@@ -19,15 +19,14 @@ from ..arrays import Floats, Integers, Mask
 from ..identification.criterion import Folds, folds_of
 from ..identification.dataset import Record
 from ..identification.kinematics import low_pass
+from ..identification.ladder import HIGHEST_ORDER, SLOW_QUANTILE
 from ..least_squares import least_squares
 from .kernels import filter_rows, play_path
 
 CUTOFF_HZ = 45.0  # cut-off of the shared filter for runs that also contain slow motion
-HIGHEST_ORDER = 200.0  # highest order that is searched, periods a turn
 HIGHEST_SHARE = 0.15  # limit of a higher cut-off, as a share of the record's rate
 STANDS_OUT = 0.05  # a wave raises the cut-off if it explains this share of a rigid axis' residual ...
 ABOVE = 2.0  # ... and puts it this factor above the wave
-SLOW_QUANTILE = 0.1  # quantile of the speed in motion that defines slow motion
 ROW_SHARE = 2.8  # rows per second relative to the cut-off
 RESPONSE_POINTS = 512
 TAPS_PERIODS = 1.9  # half the filter's length, in periods of the cut-off

@@ -23,7 +23,7 @@ from ..identification.criterion import (
     unseen_loss,
 )
 from ..identification.facts import DriveFacts
-from ..identification.ladder import AcceptedEffect, Ladder
+from ..identification.ladder import LEAST_SHARE, MOST_EFFECTS, AcceptedEffect, Ladder
 from ..identification.ranking import ranked
 from ..identification.runs import CONTRADICTION_SHARE
 from ..identification.threads import in_threads
@@ -56,7 +56,6 @@ from .scored import (
     without,
 )
 
-MOST_EFFECTS = 6
 ITERATIONS = 6  # of a contender's fit ...
 TRIED = 12  # proposals whose gain is computed ...
 TRIED_A_KIND = 2  # ... at most this many of one kind on a rung ...
@@ -65,7 +64,6 @@ CURVES_REFITTED = 2  # ... and curves that are refitted
 KEPT = 0.75  # a refit that keeps less of its promised gain is repeated from another start
 LAW_OF_CURVE = 0.75  # laws with more than this share of a curve's gain take precedence over it ...
 LAWS_FOR_CURVE = 3  # ... at most so many
-LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
 
 
 class Contender(NamedTuple):

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from ..units import text_on, unit_on
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, motion_of
+from .ladder import SLOW_QUANTILE
 from .rows import LEAST_OTHER_WAY
 
-SLOW_QUANTILE = 0.1  # of the speeds of the motion: waves are seen there
 REST_SHARE = 0.005  # of the highest speed: slower is rest ...
 REST_COUNTS_PER_S = 50.0  # ... and so is one count of the sensor in a twentieth of a second
 DWELL_S = 0.1  # shorter rests are reversals

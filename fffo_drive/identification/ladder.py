@@ -31,10 +31,10 @@ from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried
-LEAST_SHARE = 0.02  # of the squared residual
+LEAST_SHARE = 0.02  # smallest share of the squared residual that an effect has to explain
 MOST_EFFECTS = 6
 SPEED_CLASSES = 6  # each with its own noise level
-HIGHEST_ORDER = 200
+HIGHEST_ORDER = 200  # that is searched, periods a turn
 STANDING_OUT = 6  # orders of a scan that are tried in addition to the declared ones
 SLOW_QUANTILE = 0.1  # of speed: an order is seen where the axis turns this slowly ...
 SEEN_HZ = 1.5  # ... if it is below the cut-off there; the cut-off is so many times what the declared orders ask
