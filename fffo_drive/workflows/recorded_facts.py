@@ -25,7 +25,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     """The facts in `file`, else those in the recordings.
 
     Raises DocumentError for a log without facts, for recordings of different axes, and for `columns` that a log does
-    not have.
+    not have; RecordingError for a file that is no log.
     """
     if file is not None:
         given = read_facts(file)
@@ -34,6 +34,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     found: DriveFacts | None = None
     for log in logs:
         if not str(log).endswith(RECORDINGS):
+            read_source(log, rows=False)
             raise DocumentError(
                 f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
                 "`fffo-drive import`"

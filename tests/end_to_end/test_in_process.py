@@ -133,7 +133,7 @@ def test_a_trip_ends_the_run_with_its_exit_code_and_its_record(tmp_path, capsys)
         (["config", "check", str(CONFIGS / "axis_simulate.yaml")], 78, "did you mean 'axis_simulated.yaml'?"),
         (["bench", "--config", str(CONFIGS / "axis_simulated.yaml")], 78, "bench needs an axis on a bus"),
         (["evaluate"], 78, "fffo-drive evaluate: give a SCENARIO"),
-        (["identify", str(CONFIGS / "axis_simulated.yaml"), "--out", "none"], 78, "unknown kind of table"),
+        (["identify", str(CONFIGS / "axis_simulated.yaml"), "--out", "none"], 78, "no lines of numbers in it"),
         (["run", str(CONFIGS / "axis_canopen.yaml"), "--bus", "socketcan:nosuch0", "--uncommissioned"], 69, "nosuch0"),
     ],
 )

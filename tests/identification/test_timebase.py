@@ -127,6 +127,11 @@ def test_a_log_as_published_is_read(tmp_path):
     assert found.samples == record.samples
     assert any("ends in the middle" in text for text in found.warnings)
     assert any("1 rows whose stamp is not later" in text for text in found.warnings)
-    path.write_text("Time, Position, Iq\n" + "\n".join(rows[:2000] * 2) + "\n")
-    with pytest.raises(RecordingError, match="time runs backwards"):
+    path.write_text("Time, Position, Iq\n" + "\n".join(rows[:2000] * 2) + "\n")  # written twice
+    found = load_record(path, FACTS.model_copy(update={"columns": columns}))
+    assert found.samples == 2000
+    assert any("run 2 is the same and is left out" in text for text in found.warnings)
+    other = [f"{k * PERIOD_S:.4f}, 0.0, 0.{k % 10}" for k in range(2000)]
+    path.write_text("Time, Position, Iq\n" + "\n".join(rows[:2000] + other) + "\n")
+    with pytest.raises(RecordingError, match="holds 2 runs, and a log of one is needed"):
         load_record(path, FACTS.model_copy(update={"columns": columns}))

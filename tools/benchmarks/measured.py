@@ -98,7 +98,7 @@ def inside_of(machine: str, fit: tuple[str, ...]) -> str:
     return "lorenz mixed" if machine == "lorenz" and "Bm_1" in fit else machine
 
 
-def _records(case: Case, sets: Path) -> tuple[Any, Any]:
+def records_of(case: Case, sets: Path) -> tuple[Any, Any]:
     folder = sets / case.machine
     facts = read_facts(folder / "drive.yaml")
     fit, held_out = (
@@ -118,7 +118,7 @@ def judge(case: Case, sets: Path, answer: Path) -> None:
             said["report"] = typed(sets / case.machine, *logs, Path(out))
         except ValueError as error:  # a refusal is a result of the bench
             said["failure"] = str(error)
-    fit, held_out = _records(case, sets)
+    fit, held_out = records_of(case, sets)
     cutoff_hz = said.get("report", {}).get("settings", {}).get("cutoff_hz", CUTOFF_HZ)
     said["same_band"] = textbook(case, fit, held_out, cutoff_hz)
     said["own_band"] = textbook(case, fit, held_out, OWN_BAND_HZ.get(case.machine, cutoff_hz))
