@@ -211,18 +211,12 @@ class Selector:
         effects = [effect_at_start(one, data.runs, self.facts.absolute_angle) for one in climbed.accepted]
         self.search.tried += climbed.tried
         rigid = rigid_of(data)
-
-        def fitted(job: tuple[Data, list[Effect]]) -> ScoredFit:
-            return scored_fit(job[0], fit(job[0], job[0].start, job[1], LADDER_ITERATIONS))
-
-        simple, whole = in_threads(fitted, [(rigid, effects), (data, effects)])
-        if self.facts.units == "linear" or not gain(simple.unseen, whole.unseen, data.folds).holds:
-            data, whole = rigid, simple
+        found = settled(rigid, fit(rigid, rigid.start, effects, LADDER_ITERATIONS))
+        data, scored = self._freed(data, *found)
         accepted = [
             Accepted(one.candidate.name, one.gain, 0.0, one.share, one.candidate.family, (), climbed.tried)
             for one in climbed.accepted
         ]
-        data, scored = settled(data, whole.fitted)
         return self._pruned(data, scored, accepted)
 
     def _freed(self, whole: Data, data: Data, scored: ScoredFit) -> tuple[Data, ScoredFit]:

@@ -27,7 +27,17 @@ from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, FILTER_ORDER, stroke_lengths_rev
 from .layout import EffectStart
 from .regression import HELD_RPS2, LEAST_TOLD, TorqueStart
-from .rows import CONSTANT, RegressionRows, rigid_columns, rows_at, stretches_of, told_by_acceleration, turns_one_way
+from .rows import (
+    CONSTANT,
+    RegressionRows,
+    RegressionStretch,
+    rigid_columns,
+    rows_at,
+    scanned_delay,
+    stretches_of,
+    told_by_acceleration,
+    turns_one_way,
+)
 
 CONSTANT_TORQUE, DIRECTION_RUNG, GRAVITY, WAVES = range(4)  # the rungs
 LARGEST_P = 0.01  # over all that was tried
@@ -42,6 +52,7 @@ HIGHEST_CUTOFF_HZ = 150.0
 HIGHEST_CUTOFF_PERIODS = 0.15
 GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
 WAVE_PERIODS = 2.0  # a wave has to come back, within a stroke
+MOVED_SAMPLES = 2.0  # by which the delay is another: the step of its scan
 SAME_COLUMNS = 1e-4  # of a column's squared norm that must remain after projecting out the known columns
 
 
@@ -95,6 +106,7 @@ class _Bench(NamedTuple):
     level_nm: Floats  # of friction at these speeds, by the start
     runs: int
     stroke_rev: Floats  # (m,) travel from one reversal to the next, of the stroke that a row is in
+    stretches: Sequence[RegressionStretch]
 
 
 class _Weighted(NamedTuple):
@@ -124,8 +136,9 @@ def climb(
 
 
 def _climbed(
-    records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None, without: frozenset[str]
+    records: Sequence[Record], start: TorqueStart, facts: DriveFacts | None, without: frozenset[str], again: bool = True
 ) -> Ladder:
+    """As `climb`, at one cut-off; `again`: a second time, where the delay is another beside what was found."""
     linear = facts is not None and facts.units == "linear"
     bench, cutoff_hz = _bench(records, start, [] if linear else _declared_orders(facts))
     same_zero = len(records) == 1 or (facts is not None and facts.absolute_angle)
@@ -144,10 +157,21 @@ def _climbed(
         found = [_given_others(bench, chosen, k, max(tried, 1)) for k in range(len(chosen))]
         weak = [k for k, one in enumerate(found) if not stands(one)]
         if not weak:
+            delay_s = _delay_beside(bench, chosen)
+            if again and delay_s is not None and abs(delay_s - start.delay_s) > MOVED_SAMPLES * records[0].period_s:
+                return _climbed(records, start._replace(delay_s=delay_s), facts, without, again=False)
             return Ladder(tuple(found), _improved(bench, chosen, start), tried, cutoff_hz)
         # of two equivalent candidates neither is needed given the other: the higher rung is removed first
         del chosen[max(weak, key=lambda k: (chosen[k].rung, -found[k].gain.value))]
     return Ladder((), start, tried, cutoff_hz)
+
+
+def _delay_beside(bench: _Bench, chosen: Sequence[EffectCandidate]) -> float | None:
+    """The delay beside the chosen candidates: waves that pass quickly look like an acceleration at another delay."""
+    if all(one.rung != WAVES for one in chosen):
+        return None
+    known = np.column_stack([bench.base, *(_columns(bench, one) for one in chosen)])
+    return scanned_delay(bench.stretches, bench.rows.cutoff_hz, lambda rows: known)[0]
 
 
 def _declared_orders(facts: DriveFacts | None) -> list[float]:
@@ -183,7 +207,9 @@ def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float
     level_nm = start.coulomb_nm + (start.static_nm - start.coulomb_nm) * fall
     folds = folds_of(rows.bounds, rows.period_s)
     strokes_rev = np.concatenate([stroke_lengths_rev(s.motion)[s.rows] for s in stretches])
-    return _Bench(rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records), strokes_rev), cutoff_hz
+    return _Bench(
+        rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records), strokes_rev, stretches
+    ), cutoff_hz
 
 
 def _slow_rps(rows: RegressionRows) -> float:

@@ -8,7 +8,7 @@ travel after a reversal, as are rows that depend on filled-in samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -164,9 +164,22 @@ class Rigid(NamedTuple):
 
 
 def rigid_balance(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> Rigid:
-    """Scan of the delay (s) from command to torque, on to LAST_DELAY_S where it has to be, and a parabola.
+    """The balance at the delay of `scanned_delay`. Weight on the shaft would bias it: there it has columns."""
 
-    Weight on the shaft would bias the delay: in the scan it has columns of its own.
+    def columns(rows: RegressionRows) -> Floats:
+        angle = 2.0 * np.pi * rows.position_rev
+        return np.column_stack([rigid_columns(rows), np.cos(angle), np.sin(angle)])
+
+    delay_s, nearest_s = scanned_delay(stretches, cutoff_hz, columns)
+    rows = rows_at(stretches, cutoff_hz, nearest_s)
+    return Rigid(delay_s or 0.0, delay_s is not None, *_inertia(rows))
+
+
+def scanned_delay(
+    stretches: Sequence[RegressionStretch], cutoff_hz: float, columns: Callable[[RegressionRows], Floats]
+) -> tuple[float | None, float]:
+    """Delay (s) from command to torque, by a scan, on to LAST_DELAY_S where it has to be, and a parabola; and the best
+    one of the scan. None where the residual falls to the end of the scan. `columns` of rows (m,) are fitted, (m, k).
     """
     period_s = stretches[0].motion.period_s
     losses: list[float] = []
@@ -174,18 +187,14 @@ def rigid_balance(stretches: Sequence[RegressionStretch], cutoff_hz: float) -> R
     while True:
         for sample in range(2 * len(losses), count + 1, 2):
             rows = rows_at(stretches, cutoff_hz, sample * period_s)
-            angle = 2.0 * np.pi * rows.position_rev
-            columns = np.column_stack([rigid_columns(rows), np.cos(angle), np.sin(angle)])
-            losses.append(robust_least_squares(columns[rows.sliding], rows.torque_nm[rows.sliding])[1])
+            losses.append(robust_least_squares(columns(rows)[rows.sliding], rows.torque_nm[rows.sliding])[1])
         best = int(np.argmin(losses))
         last = math.ceil(LAST_DELAY_S / period_s)
         if best < len(losses) - 1 or count >= last:
             break
         count = last
     delays = 2.0 * period_s * np.arange(len(losses), dtype=np.float64)
-    delay_s = parabola_minimum(delays, np.array(losses))
-    rows = rows_at(stretches, cutoff_hz, delays[best])
-    return Rigid(delay_s or 0.0, delay_s is not None, *_inertia(rows))
+    return parabola_minimum(delays, np.array(losses)), float(delays[best])
 
 
 def _inertia(rows: RegressionRows) -> tuple[float, float]:
