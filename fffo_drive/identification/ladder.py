@@ -462,10 +462,14 @@ def _improved(bench: _Bench, chosen: Sequence[EffectCandidate], start: TorqueSta
     white = _weighted(bench, chosen)
     fit = least_squares(white.known, white.target)
     inertia, viscous, coulomb, excess = (float(value) for value in fit.values[: bench.base.shape[1]])
-    if not coulomb > 0.0:  # torque of the wrong sign
+    friction = (bench.base[:, 1:] @ fit.values[1 : bench.base.shape[1]]) * bench.rows.direction
+    if not float(friction[bench.rows.sliding].mean()) > 0.0:  # it would drive the axis: torque of the wrong sign
         return start
-    static = coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0))
     has_inertia = start.has_inertia and inertia > 0.0 and told_by_acceleration(fit, fit.cost) >= LEAST_TOLD
+    if not coulomb > 0.0:  # at one speed it is not told from viscous friction
+        seen = inertia if has_inertia else start.static_nm / HELD_RPS2
+        return start._replace(has_inertia=has_inertia, inertia_nm_s2_per_rev=seen)
+    static = coulomb * (1.0 + min(max(excess / coulomb, 0.02), 6.0))
     return start._replace(
         inertia_nm_s2_per_rev=inertia if has_inertia else static / HELD_RPS2,
         has_inertia=has_inertia,

@@ -13,6 +13,7 @@ FILES = ("drive.yaml", "identify.csv.gz", "track.csv.gz", "recipe.csv.gz")
 
 
 @pytest.mark.long
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("drive", ["d02", "d03"])
 def test_both_find_the_same_effects_and_the_same_axis(drive):
     """d02: friction that differs by direction, beside cogging, which a constant torque resembles. d03: an error of the

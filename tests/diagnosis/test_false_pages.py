@@ -160,11 +160,8 @@ def test_no_law_is_named_of_which_the_machine_has_nothing(name):
         assert name == "arm" or travel_rev > numbers(finding).get("ratio", 0.0)
 
 
-HEAVY = pytest.mark.xfail(strict=True, reason="the base takes an inertia that is 12 % too large; a textbook is right")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(name, marks=HEAVY if name == "wrist" else ()) for name in NAMED])
+@pytest.mark.parametrize("name", NAMED)
 def test_the_axis_does_not_shrink(name):
     case = trap(name)
     if np.isfinite(case.inertia_within):
