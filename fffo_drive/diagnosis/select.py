@@ -220,7 +220,7 @@ class Selector:
         return self._pruned(data, scored, accepted)
 
     def _freed(self, whole: Data, data: Data, scored: ScoredFit) -> tuple[Data, ScoredFit]:
-        """Free the full base friction, where the ladder kept a rigid base and a later effect makes it determinable."""
+        """Free the full friction of a rigid base, where the data determine it beside the effects."""
         if data.free == whole.free or self.facts.units == "linear":
             return data, scored
         freed = data._replace(free=whole.free, start=whole.start)

@@ -44,9 +44,15 @@ RECOGNISED = (
 )
 MOST_LISTED = 40  # columns in a message
 ROLES = {  # options of `import` that say which column is a signal
-    "time": TIME_S, "position": POSITION_REV, "velocity": VELOCITY_RPS, "command": COMMAND_A, "current": CURRENT_A,
-    "reference": REFERENCE_RPS, "setpoint": SETPOINT_REV, "reference_encoder": ENCODER_REV,
-}  # fmt: skip
+    "time": TIME_S,
+    "position": POSITION_REV,
+    "velocity": VELOCITY_RPS,
+    "command": COMMAND_A,
+    "current": CURRENT_A,
+    "reference": REFERENCE_RPS,
+    "setpoint": SETPOINT_REV,
+    "reference_encoder": ENCODER_REV,
+}
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
 
 

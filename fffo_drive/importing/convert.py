@@ -129,7 +129,7 @@ def _values(source: Source, guess: Guess) -> Floats:
 
 def write_recording(
     path: Path, source: Path, log: Converted, facts: str, linear: bool, assumed: Sequence[str] = ()
-) -> None:  # fmt: skip
+) -> None:
     """The log as a recording of ours: rows at the stamps of the log, with the `facts` (YAML) and what was `assumed`."""
     names = [name for name in WRITTEN if name in log.columns]
     by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)}

@@ -27,9 +27,20 @@ TEXT_SUFFIXES = tuple(kind + packed for kind in (".csv", ".txt", ".tsv") for pac
 SUFFIXES = (*TEXT_SUFFIXES, ".mat")  # of tables that are looked for in a directory
 RECORDINGS = (".mcap", ".mcap.part")
 ALL_SUFFIXES = (
-    *RECORDINGS, *SUFFIXES, ".json", ".npz", ".npy", ".parquet", ".pq", ".feather", ".log", ".dat", ".asc",
-    ".trc", ".blf",
-)  # fmt: skip
+    *RECORDINGS,
+    *SUFFIXES,
+    ".json",
+    ".npz",
+    ".npy",
+    ".parquet",
+    ".pq",
+    ".feather",
+    ".log",
+    ".dat",
+    ".asc",
+    ".trc",
+    ".blf",
+)
 
 
 def short_name(path: Path) -> str:

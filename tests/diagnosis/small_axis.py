@@ -9,10 +9,19 @@ from fffo_drive.identification.facts import DriveFacts
 
 PERIOD_S = 0.002
 MACHINE = Machine(
-    inertia_kg_m2=1.5e-4, coulomb_nm=0.028, viscous_nm_per_rps=0.003, torque_constant_nm_per_a=0.08, static_nm=0.01,
-    stribeck_rps=0.4, rough_nm=4e-4, rough_hz=8.0, current_noise_a=0.004, presliding_rev=1e-3, lsb_rev=2.0**-16,
+    inertia_kg_m2=1.5e-4,
+    coulomb_nm=0.028,
+    viscous_nm_per_rps=0.003,
+    torque_constant_nm_per_a=0.08,
+    static_nm=0.01,
+    stribeck_rps=0.4,
+    rough_nm=4e-4,
+    rough_hz=8.0,
+    current_noise_a=0.004,
+    presliding_rev=1e-3,
+    lsb_rev=2.0**-16,
     encoder_noise_rev=2e-6,
-)  # fmt: skip
+)
 FACTS = DriveFacts(torque_constant_nm_per_a=0.08, rated_current_a=3.0, resolver_bits=16, sample_rate_hz=500.0)
 LINE_HZ = 2.6  # the third sine of the motion
 PARTS = ((4.0, 0.29, 0.4), (2.4, 0.78, 1.0), (0.9, LINE_HZ, 0.3))  # rps, Hz, rad

@@ -293,9 +293,11 @@ def wave(name, order, torque_rms_nm):
     """A steady wave that held-out runs show clearly."""
     order = Number("order", order, 1e-3, "1/rev")
     return replace(
-        accepted(name, held_out_gain=(30.0, 1.0))[0], parameters=(order,), torque_rms_nm=torque_rms_nm,
+        accepted(name, held_out_gain=(30.0, 1.0))[0],
+        parameters=(order,),
+        torque_rms_nm=torque_rms_nm,
         strength_variation=0.05,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(

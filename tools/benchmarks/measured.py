@@ -52,9 +52,11 @@ CAUSES = {  # what the opening of the page has to say
 }
 OWN_BAND_HZ = {"emps": 45.0, "laas": 150.0, "bam": 15.0}  # in which the textbook's figures are known
 FIRST = {  # what must lead, with its order
-    "emps": ("asymmetric_viscous", None), "laas": ("cogging", 72.0), "bam": ("unbalance", None),
+    "emps": ("asymmetric_viscous", None),
+    "laas": ("cogging", 72.0),
+    "bam": ("unbalance", None),
     "lorenz": ("torque_offset", None),
-}  # fmt: skip
+}
 TRAJECTORIES = ("sin_sin", "lift_and_drop", "up_and_down", "sin_time_square")
 LAAS_FILES = ("speed_test", "speed_test1", "speed_test_old")
 
@@ -213,9 +215,11 @@ def _targets(report: Report, case: Case, answer: dict[str, Any], ours_nm: float,
     most = {"emps": EMPS_PERCENT, "laas": LAAS_SHARE * textbook_percent}.get(case.machine, textbook_percent)
     report.figure(f"{case.name}: held-out torque error, of the command", percent, "%", round(most, 2), 3)
     report.bounded(
-        f"{case.name}: the page leads to the cause", "yes" if leads_to_cause(case, answer) else "no",
-        leads_to_cause(case, answer), "yes",
-    )  # fmt: skip
+        f"{case.name}: the page leads to the cause",
+        "yes" if leads_to_cause(case, answer) else "no",
+        leads_to_cause(case, answer),
+        "yes",
+    )
     if case.inside in FIRST:
         name, order = FIRST[case.inside]
         leads = next(iter(claimed(answer)), None)

@@ -54,7 +54,8 @@ LAW = Law(
     cause="magnets or sensors of the current that warm up; a commutation that slipped, where it changes at once",
     remedy="check the angle of the commutation and the current's calibration; let the motor cool, or load it less",
     place=lambda values: (
-        f"all torque from {values['begin_s']:.4g} s on" if values["begin_s"] > 0.0
+        f"all torque from {values['begin_s']:.4g} s on"
+        if values["begin_s"] > 0.0
         else f"all torque, with a time constant of {values['tau_s']:.3g} s"
     ),
     compensable=False,
@@ -69,4 +70,4 @@ LAW = Law(
     figure="level",
     feedforward=_inverse,
     acts_on="torque",
-)  # fmt: skip
+)
