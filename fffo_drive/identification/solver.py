@@ -51,7 +51,7 @@ class Point(NamedTuple):
 
 
 def solve(
-    problem: Problem, space: Coordinates, start: Floats, iterations: int = 25,
+    problem: Problem, space: Coordinates, start: Floats, iterations: int = 40,
     progress: Callable[[int], None] | None = None,
 ) -> Solution:  # fmt: skip
     """Minimise the Huber loss of the prediction errors from a start, within the bounds.
