@@ -5,9 +5,10 @@ Nothing is guessed here: a log that leaves a doubt is refused with the line of `
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,12 +49,19 @@ def read_log(path: Path | str, hints: Hints | None = None) -> Converted:
     doubt, OSError for what cannot be opened.
     """
     path, hints = Path(path), hints or Hints()
-    try:
+    with saying_how_to_import(path, hints):
         source = read_source(path, hints.drive)
         log = _as_declared(source, hints) if _declared(source, hints) else _without_doubt(source, hints)
+    return log._replace(remarks=tuple(f"{source.said}: {remark}" for remark in log.remarks))
+
+
+@contextlib.contextmanager
+def saying_how_to_import(path: Path, hints: Hints) -> Iterator[None]:
+    """Where a log needs an answer: RecordingError with the line of `import` that gives it."""
+    try:
+        yield
     except AnswerNeededError as error:
         raise RecordingError(f"{error}\n  import it with: {_import_line(path, hints, error.options)}") from error
-    return log._replace(remarks=tuple(f"{source.said}: {remark}" for remark in log.remarks))
 
 
 def _import_line(path: Path, hints: Hints, options: str) -> str:

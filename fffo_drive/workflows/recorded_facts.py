@@ -11,7 +11,9 @@ from ..config.axis import AxisFile
 from ..config.drive_section import CanopenDriveSection, SimulatedDriveSection
 from ..documents import DocumentError, check, did_you_mean, parse, refuse
 from ..identification.facts import DriveFacts, read_facts
+from ..importing.candidates import Hints
 from ..importing.convert import FACTS_NAME
+from ..importing.log import saying_how_to_import
 from ..importing.read import RECORDINGS, read_source
 from ..model.parameters import ModelFile
 from ..recording.errors import RecordingError
@@ -34,7 +36,8 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
     found: DriveFacts | None = None
     for log in logs:
         if not str(log).endswith(RECORDINGS):
-            read_source(log, rows=False)
+            with saying_how_to_import(Path(log), Hints()):
+                read_source(log, rows=False)
             raise DocumentError(
                 f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
                 "`fffo-drive import`"

@@ -166,10 +166,13 @@ def cyclic(rig: Sniffer) -> list[can.Message]:
     return [m for m in rig.wire if m.arbitration_id in (0x80, 0x181, 0x201, 0x281)]
 
 
-def test_without_a_description_the_trace_is_named_and_what_is_missing(tmp_path, rig):
+def test_without_a_description_the_trace_is_named_and_what_is_missing(tmp_path, rig, capsys):
     path = written(tmp_path / "trace.asc", cyclic(rig))
     with pytest.raises(RecordingError, match=r"a trace of a CAN bus \(Vector ASC\), node 1: .*--eds FILE"):
         read_source(path)
+    assert main(["identify", str(path), "--out", str(tmp_path / "model")]) == EXIT_BAD_INPUT
+    line = capsys.readouterr().err.rpartition("import it with: ")[2].strip()
+    assert line == f"fffo-drive import {path} --out trace_imported --eds FILE"
 
 
 def test_an_axis_file_maps_the_trace_of_its_drive(tmp_path, rig, capsys):
