@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from ..drive.cia402 import STATE_FAULT, STATUS_FAULT, state_of
-from ..drive.port import DriveRefusedError
+from ..drive.port import NMT_OPERATIONAL, DriveRefusedError
 from .session import Session
 
 FIRST_STATUS_S = 1.0  # for the first statusword
@@ -31,9 +31,10 @@ def clear_fault(session: Session, reset: bool, command: str) -> str:
     _wait(session, lambda: state_of(int(feedback["statusword"][0])) == STATE_FAULT, RESET_S)
     session.reset_fault()
     if not _wait(session, lambda: not int(feedback["statusword"][0]) & STATUS_FAULT, RESET_S):
-        raise DriveRefusedError(
-            f"the drive stays in fault after a reset ({session.drive.fault_words()}): its cause is still there"
-        )
+        words = session.drive.fault_words()
+        if int(feedback["nmt_state"][0]) not in (NMT_OPERATIONAL, -1):
+            raise DriveRefusedError(f"the drive hears no reset ({words}): it is not operational; start once more")
+        raise DriveRefusedError(f"the drive stays in fault after a reset ({words}): its cause is still there")
     return f"fault cleared: {words}"
 
 

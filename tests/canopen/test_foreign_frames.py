@@ -203,6 +203,11 @@ def test_a_drive_that_misses_a_tick_is_not_silent(bench):  # noqa: F811
     assert [PRE_OPERATIONAL] not in tripped(bench, SILENT_TICKS, answers=False)
 
 
+def test_a_drive_in_fault_that_answers_late_can_still_hear_a_reset(bench):  # noqa: F811
+    tripped(bench, 1, statusword=0x0218)
+    assert [PRE_OPERATIONAL] not in tripped(bench, 2 * WITHDRAWAL_EVERY, answers=False)
+
+
 def test_a_drive_that_says_that_it_is_not_operational_is_told_like_one_that_is_silent(bench):  # noqa: F811
     bench.say(0x700 + NODE, b"\x7f")
     assert [PRE_OPERATIONAL] in tripped(bench, 5)

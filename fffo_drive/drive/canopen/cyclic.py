@@ -24,7 +24,7 @@ import math
 from ...jit import njit
 from ...jit.atomic import load_acquire, store_release
 from ...jit.libc import EINTR, monotonic_ns, sleep_until, wait_readable
-from ..cia402 import CONTROL_QUICK_STOP, is_operation_enabled
+from ..cia402 import CONTROL_QUICK_STOP, STATE_FAULT, is_operation_enabled, state_of
 from ..port import (
     NMT_OPERATIONAL,
     port_command,
@@ -171,14 +171,17 @@ def _withdraw(port: CanopenPort, tick: int) -> bool:
     """After a fault: what the RPDO says by SDO too, and NMT where the drive may hear neither. True: a frame went out.
 
     A drive that does not answer SYNC is told again and again: its torque may still act. So is one that is enabled in
-    spite of it, by somebody else's RPDO, say: pre-operational, it hears none.
+    spite of it, by somebody else's RPDO, say: pre-operational, it hears none. One in fault has no torque and takes none
+    before a reset, which it must be able to hear: it may answer as late as it likes.
     """
     memory = port.memory
     turn = memory[TRIPPED_TICKS]
     memory[TRIPPED_TICKS] += 1
     feedback = port.feedback[0]
     state = feedback["nmt_state"]
-    silent = tick - feedback["velocity_tick"] > SILENT_TICKS or (state >= 0 and state != NMT_OPERATIONAL)
+    in_fault = feedback["status_tick"] >= 0 and state_of(feedback["statusword"]) == STATE_FAULT
+    late = tick - feedback["velocity_tick"] > SILENT_TICKS and not in_fault
+    silent = late or (state >= 0 and state != NMT_OPERATIONAL)
     says_so_since = feedback["status_tick"] > tick - turn + BESIDE_RPDO
     if turn >= WITHDRAWAL_EVERY and says_so_since and is_operation_enabled(feedback["statusword"]):
         memory[DISOBEYS] = 1
