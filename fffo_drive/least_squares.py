@@ -140,20 +140,24 @@ class Rule(NamedTuple):
     trials: int  # of a step
     settled: float  # share of the loss by which the last step lowers it
     worthwhile: float  # share of the loss that a step must promise to be tried
+    steady: float  # after a step that lowers the loss by a smaller share the sensitivities serve again
 
 
 def minimise(
-    point: Point, about: Callable[[Point], tuple[float, Normal]], moved: Callable[[Point, Floats], tuple[Point, float]],
-    rule: Rule, iterations: int, progress: Callable[[int], None] | None = None,
+    point: Point, about: Callable[[Point, bool], tuple[float, Normal]],
+    moved: Callable[[Point, Floats], tuple[Point, float]], rule: Rule, iterations: int,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[Point, float, int, bool]:  # fmt: skip
     """The point that damped Gauss-Newton steps reach, its loss, the number of steps, and whether they converged.
 
     `about` gives the loss at a point and the normal equations of a step, with a zero row and column for a coordinate
-    that may not move; `moved` makes a step, within its bounds, and gives the loss there.
+    that may not move; it is told whether to compute the sensitivities anew. `moved` makes a step, within its bounds,
+    and gives the loss there.
     """
-    damping, loss = rule.first, np.inf
+    damping, loss, fall = rule.first, np.inf, 1.0
     for count in range(1, iterations + 1):
-        loss, normal = about(point)
+        anew = fall >= rule.steady or fall <= 0.0  # a step that fails may be one of old sensitivities
+        loss, normal = about(point, anew)
         found, fall = spectrum(normal.matrix, SINGULAR), 0.0
         for _ in range(rule.trials):
             step = found.solution(normal.moment, damping)
@@ -166,7 +170,7 @@ def minimise(
             damping = max(rule.again, rule.raised * damping)
         if progress is not None:
             progress(count)
-        if fall < rule.settled:
+        if fall < rule.settled and (anew or fall > 0.0):
             return point, loss, count, True
         damping = max(rule.least, rule.eased * damping)
     return point, loss, iterations, False

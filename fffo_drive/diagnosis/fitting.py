@@ -45,8 +45,8 @@ from .scenes import Effect, Scene, commanded_load, load_along, load_rows, scenes
 LOOKUP = "lookup"  # a free curve: its knots are fixed
 CURVE_PRIOR = 1e-3  # prior weight, as a share of the squared norm of a curve's column
 CONVERGED = 3e-4  # relative decrease of the loss that ends a fit
-RULE = Rule(1e-4, 0.1, 1e-6, 30.0, 1e-3, 4, CONVERGED, CONVERGED)
-STEADY = 0.02  # ... and below which the sensitivities are reused
+STEADY = 0.02  # ... and below which the sensitivities serve again
+RULE = Rule(1e-4, 0.1, 1e-6, 30.0, 1e-3, 4, CONVERGED, CONVERGED, STEADY)
 STEEPEST = 5.0  # largest Fs over Fc
 LARGEST_LOG = 0.5  # largest step of the logarithm of a positive parameter
 SPEED_CLASSES = (0.01, 0.05, 0.2, 0.6)  # bounds of the speed classes of noise, in shares of the top speed
@@ -298,18 +298,17 @@ def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 
         count = 0
     prior = data.prior or wide_prior(data.start)
     precision = prior.weighed(data.used.size)[:count, :count]
-    matrix, before = np.zeros((0, 0)), np.inf
+    matrix = np.zeros((0, 0))
 
     def loss(fitted: Fitted) -> float:
         away = distance(fitted.physical, prior.centre)[:count]
         return fitted.loss * fitted.white.size + 0.5 * float(away @ precision @ away)
 
-    def about(point: Evaluated) -> tuple[float, Normal]:
-        nonlocal matrix, before
+    def about(point: Evaluated, anew: bool) -> tuple[float, Normal]:
+        nonlocal matrix
         fitted, scenes = point
-        if not fitted.loss >= (1.0 - STEADY) * before:
+        if anew:
             matrix = _jacobian(data, fitted, scenes, numbers, count)
-        before = fitted.loss
         normal = normal_equations(matrix, fitted.white, huber_weights(fitted.white))
         normal.moment[:count] -= precision @ distance(fitted.physical, prior.centre)[:count]
         normal.matrix[:count, :count] += precision

@@ -29,7 +29,7 @@ from .kinematics import low_pass
 from .ladder import LARGEST_P, Ladder, climb
 from .layout import EffectLayout, EffectStart, layout_of
 from .noise_bias import noise_shift
-from .prediction import Problem, make_problem, residual, residuals
+from .prediction import BANDWIDTH_PERIODS, Problem, make_problem, residual, residuals
 from .ranking import first_best, ranked
 from .regression import TorqueStart, regression_start, start_problems
 from .residuals import WINDOW_S, RunResidual, run_residuals
@@ -40,7 +40,6 @@ from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of, un
 Progress = Callable[[float, str], None]
 
 BANDWIDTH_HZ = 40.0  # of the observer: below about 10 Hz it is unstable where the Stribeck curve falls
-BANDWIDTH_PERIODS = 0.04  # of the rate: its highest
 OTHER_RATIOS = (0.75, 0.5)  # the fit is repeated at these shares of the bandwidth, and the mean of all is taken
 MEAN_COST = 1e-3  # the mean is taken where the loss rises by no larger share than this
 PRESLIDING_LSB = (4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0)  # 1/K at the start, in counts ...
@@ -166,12 +165,12 @@ def _fit(
         part = frame.of(make_problem(records, bandwidth_hz, START_S))
         literal_loss = _literal(part, space, solution, records[0].period_s, frame)
     tell(0.75, "noise")
-    bias = noise_shift(problem, space, solution)
+    bias = noise_shift(problem, space, solution.values)
     others = []
     for number, ratio in enumerate(OTHER_RATIOS):
         tell(0.8 + 0.06 * number, "other bandwidths")
         other = frame.of(make_problem(records, ratio * bandwidth_hz))
-        others.append(refine(other, space, solve(other, space, solution.values, 8), 1).values)
+        others.append(refine(other, space, solution).values)
     solution, disagreement = mean_of_fits(problem, space, solution, others)
     solution = _levels_in_order(solution)
     tell(0.91, "uncertainty")

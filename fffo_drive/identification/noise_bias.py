@@ -12,7 +12,7 @@ import numpy as np
 from ..arrays import Floats
 from .coordinates import Coordinates
 from .prediction import Problem
-from .solver import Solution, central_step
+from .solver import central_step
 
 THIRD_DIFFERENCE_POWER = 20.0  # of white noise: 1 + 9 + 9 + 1
 SEED = 1
@@ -29,21 +29,19 @@ def sensor_noise_rev(problem: Problem) -> float:
     return float(np.sqrt(squares / (THIRD_DIFFERENCE_POWER * max(1, samples))))
 
 
-def noise_shift(problem: Problem, space: Coordinates, solution: Solution) -> Floats:
-    """Shift of the coordinates when the position has twice the noise's variance; of a solution at its minimum.
+def noise_shift(problem: Problem, space: Coordinates, values: Floats) -> Floats:
+    """Shift of the coordinates (p,) of a minimum when the position has twice the noise's variance.
 
     Mean over the same noise with both signs: the linear part cancels.
     """
     noise_rev = sensor_noise_rev(problem)
     draw = np.random.default_rng(SEED)
     noise = [noise_rev * draw.standard_normal(stretch.position_rev.size) for stretch in problem.stretches]
-    shift = np.zeros(solution.values.size)
+    shift = np.zeros(values.size)
     for sign in (1.0, -1.0):
         stretches = tuple(
             stretch._replace(position_rev=stretch.position_rev + sign * added)
             for stretch, added in zip(problem.stretches, noise, strict=True)
         )
-        shift += 0.5 * (
-            central_step(problem._replace(stretches=stretches), space, solution)[0].values - solution.values
-        )
+        shift += 0.5 * (central_step(problem._replace(stretches=stretches), space, values) - values)
     return shift

@@ -27,6 +27,7 @@ STILL_S = 0.2  # standstill: no motion beyond the sensor's resolution for this l
 STILL_LSB = 2.5
 CLUSTER_S = 0.25
 JUMP = 0.5  # slopes of the two sides that differ by more than this share are those of a jump
+BANDWIDTH_PERIODS = 0.04  # of the rate: the highest bandwidth of an observer
 LONGEST_STEP_S = 0.0101  # of the simulation: in a longer one friction stops the axis and throws it back
 STEP = 2e-3  # of the finite differences, in coordinates
 
@@ -163,12 +164,11 @@ def _smooth_slope(forward: Floats, backward: Floats) -> Floats:
 
 
 def jacobian(
-    problem: Problem, space: Coordinates, values: Floats, free: npt.NDArray[np.int64], central: bool
-) -> tuple[Floats, Floats]:
-    """Residuals (rows,) and their derivatives by the free coordinates (rows, free), by finite differences."""
-    points = [to_physical(values, space.scale)]
+    problem: Problem, space: Coordinates, values: Floats, base: Floats, free: npt.NDArray[np.int64], central: bool
+) -> Floats:
+    """Derivatives of the residuals `base` (rows,) by the free coordinates, by finite differences. (rows, free)"""
+    points, steps = [], []
     signs = (1.0, -1.0) if central else (1.0,)
-    steps = []
     for k in free:
         inward = -1.0 if not central and values[k] + STEP > space.high[k] else 1.0
         steps.append(inward * STEP)
@@ -176,11 +176,11 @@ def jacobian(
             moved = values.copy()
             moved[k] += sign * steps[-1]
             points.append(to_physical(moved, space.scale))
-    base, *rest = residuals(problem, points)
+    found = residuals(problem, points)
     matrix = np.empty((base.size, free.size))
     for column, step in enumerate(steps):
         if central:
-            matrix[:, column] = _smooth_slope((rest[2 * column] - base) / step, (base - rest[2 * column + 1]) / step)
+            matrix[:, column] = _smooth_slope((found[2 * column] - base) / step, (base - found[2 * column + 1]) / step)
         else:
-            matrix[:, column] = (rest[column] - base) / step
-    return base, matrix
+            matrix[:, column] = (found[column] - base) / step
+    return matrix

@@ -23,7 +23,7 @@ from ..model.effects.table import Term
 from .coordinates import PARAMETERS, axis_of
 from .dataset import Record
 from .kinematics import DEFAULT_CUTOFF_HZ, acting_torque_nm, low_pass, motion_of, trusted
-from .prediction import observer, table_at
+from .prediction import BANDWIDTH_PERIODS, observer, table_at
 from .shooting import PATH_COLUMNS, follow, shoot
 
 OBSERVER_HZ = 40.0
@@ -96,7 +96,7 @@ def _torque_part(
     axis, nuisance = axis_of(physical, record.torque_constant_nm_per_a)
     position = np.ascontiguousarray(record.position_rev[part])
     path = np.empty((position.size, PATH_COLUMNS))
-    bandwidth_hz = min(OBSERVER_HZ, 0.04 / record.period_s)
+    bandwidth_hz = min(OBSERVER_HZ, BANDWIDTH_PERIODS / record.period_s)
     shooting = observer(record.period_s, bandwidth_hz, 1)
     step_s = record.period_s / shooting.substeps
     table = table_at(terms, axis, step_s, part.start * shooting.substeps)
@@ -134,7 +134,7 @@ def velocity_errors(
     period_s = record.period_s
     block = max(1, round(BLOCK_S / period_s))
     samples = max(4 * block, round(window_s / period_s) // block * block)
-    bandwidth_hz = min(OBSERVER_HZ, 0.04 / period_s)
+    bandwidth_hz = min(OBSERVER_HZ, BANDWIDTH_PERIODS / period_s)
     shooting = observer(period_s, bandwidth_hz, block)._replace(samples=samples)
     errors, begins = [], []
     for part in record.segments():

@@ -16,8 +16,9 @@ from .prediction import Problem, jacobian, residual
 HUBER = 4.0  # residuals beyond this many robust standard deviations lose weight: break-aways that no model predicts
 LARGEST_STEP = 0.7  # of a coordinate in one iteration
 REFINING = 1e-6  # damping of a refining step, for directions that the data do not determine
-CONVERGED = 2e-5  # relative fall of the cost
-RULE = Rule(1e-3, 0.2, 1e-8, 8.0, 0.0, 8, CONVERGED, 0.0)
+CONVERGED = 2e-5  # relative fall of the cost that ends a fit
+STEADY = 0.002  # ... and below which the sensitivities serve again
+RULE = Rule(1e-3, 0.2, 1e-8, 8.0, 0.0, 8, CONVERGED, 0.0, STEADY)
 SAMPLE = 50_000  # residuals are decimated to about this many for the robust scale
 
 
@@ -42,8 +43,15 @@ def huber_cost(errors: Floats, scale: float) -> float:
     return 2.0 * float(np.mean(huber(errors, HUBER * scale)))
 
 
+class Point(NamedTuple):
+    """Coordinates, and the prediction errors there."""
+
+    values: Floats
+    errors: Floats
+
+
 def solve(
-    problem: Problem, space: Coordinates, start: Floats, iterations: int = 25,
+    problem: Problem, space: Coordinates, start: Floats, iterations: int = 40,
     progress: Callable[[int], None] | None = None,
 ) -> Solution:  # fmt: skip
     """Minimise the Huber loss of the prediction errors from a start, within the bounds.
@@ -51,11 +59,13 @@ def solve(
     The scale of the loss is that of the errors at the beginning of each step.
     """
     movable = np.flatnonzero(space.high > space.low)
-    scale = 1.0
+    scale, matrix = 1.0, np.empty((0, 0))
 
-    def about(values: Floats) -> tuple[float, Normal]:
-        nonlocal scale
-        errors, matrix = jacobian(problem, space, values, movable, central=False)
+    def about(point: Point, anew: bool) -> tuple[float, Normal]:
+        nonlocal scale, matrix
+        values, errors = point
+        if anew:
+            matrix = jacobian(problem, space, values, errors, movable, central=False)
         scale = robust_scale(errors)
         normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * scale))
         stuck = (values <= space.low)[movable] & (normal.moment < 0.0)
@@ -63,40 +73,55 @@ def solve(
         normal.matrix[stuck] = normal.matrix[:, stuck] = 0.0
         return huber_cost(errors, scale), normal
 
-    def moved(values: Floats, step: Floats) -> tuple[Floats, float]:
-        trial = _moved(space, values, movable, step)
-        return trial, huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
+    def moved(point: Point, step: Floats) -> tuple[Point, float]:
+        trial = point_at(problem, space, _moved(space, point.values, movable, step))
+        return trial, huber_cost(trial.errors, scale)
 
-    return Solution(*minimise(np.clip(start, space.low, space.high), about, moved, RULE, iterations, progress), scale)
+    first = point_at(problem, space, np.clip(start, space.low, space.high))
+    found, cost, taken, converged = minimise(first, about, moved, RULE, iterations, progress)
+    return Solution(found.values, cost, taken, converged, scale)
 
 
-def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int = 2) -> Solution:
-    """Gauss-Newton steps with central differences from a solution, as long as the cost does not rise.
+def point_at(problem: Problem, space: Coordinates, values: Floats) -> Point:
+    """The prediction errors at coordinates."""
+    return Point(values, residual(problem, to_physical(values, space.scale)))
+
+
+def refine(problem: Problem, space: Coordinates, solution: Solution, steps: int = 4) -> Solution:
+    """Gauss-Newton steps with central differences at a solution, as long as the cost falls.
 
     Where a reversal appears or disappears with a parameter, one-sided differences take the jump for a slope, and the
-    solver stops a standard deviation away from the minimum.
+    solver stops a standard deviation away from the minimum. Coordinates at a bound stay there.
     """
+    point = point_at(problem, space, solution.values)
+    free, matrix = slopes_at(problem, space, point)
     for _ in range(steps):
-        trial, cost = central_step(problem, space, solution)
-        if not trial.cost <= cost * (1.0 + CONVERGED):
+        scale = robust_scale(point.errors)
+        trial = point_at(problem, space, _step(space, point, free, matrix, scale))
+        cost, before = huber_cost(trial.errors, scale), huber_cost(point.errors, scale)
+        if not cost <= before * (1.0 + CONVERGED):
             break
-        solution = trial
+        point, solution = trial, solution._replace(values=trial.values, cost=cost, scale=scale)
+        if cost >= before * (1.0 - CONVERGED):
+            break
     return solution
 
 
-def central_step(problem: Problem, space: Coordinates, solution: Solution) -> tuple[Solution, float]:
-    """One Gauss-Newton step with central differences, accepted unconditionally; and the cost before it.
+def central_step(problem: Problem, space: Coordinates, values: Floats) -> Floats:
+    """Coordinates after one Gauss-Newton step with central differences."""
+    point = point_at(problem, space, values)
+    return _step(space, point, *slopes_at(problem, space, point), robust_scale(point.errors))
 
-    Coordinates at a bound stay there.
-    """
-    values = solution.values
-    free = np.flatnonzero((values > space.low) & (values < space.high))
-    errors, matrix = jacobian(problem, space, values, free, central=True)
-    scale = robust_scale(errors)
-    normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * scale))
-    trial = _moved(space, values, free, spectrum(normal.matrix, SINGULAR).solution(normal.moment, REFINING))
-    cost = huber_cost(residual(problem, to_physical(trial, space.scale)), scale)
-    return solution._replace(values=trial, cost=cost, scale=scale), huber_cost(errors, scale)
+
+def slopes_at(problem: Problem, space: Coordinates, point: Point) -> tuple[Integers, Floats]:
+    """Free coordinates that are not at a bound (k,), and the central differences by them (rows, k)."""
+    free = np.flatnonzero((point.values > space.low) & (point.values < space.high))
+    return free, jacobian(problem, space, point.values, point.errors, free, central=True)
+
+
+def _step(space: Coordinates, point: Point, free: Integers, matrix: Floats, scale: float) -> Floats:
+    normal = normal_equations(matrix, -point.errors, huber_weights(point.errors, HUBER * scale))
+    return _moved(space, point.values, free, spectrum(normal.matrix, SINGULAR).solution(normal.moment, REFINING))
 
 
 def _moved(space: Coordinates, values: Floats, free: Integers, step: Floats) -> Floats:

@@ -24,7 +24,7 @@ from ..least_squares import SINGULAR, huber_weights, normal_equations, spectrum,
 from .coordinates import LOG_SPAN, Coordinates, physical_slope
 from .prediction import Problem, jacobian
 from .ranking import ranked
-from .solver import HUBER, LARGEST_STEP, Solution
+from .solver import HUBER, LARGEST_STEP, Point, Solution, point_at, slopes_at
 
 UNKNOWN_SD = 0.25  # of a coordinate (25 % of a positive parameter): the data do not determine it
 COLLINEAR_VIF = 200.0
@@ -83,8 +83,9 @@ def uncertainty_of(
 ) -> Uncertainty:
     """Standard deviations of a solution. `shift` (coordinates): possible bias, of either sign."""
     size = len(space.names)
-    free = np.flatnonzero((space.high > space.low) & (solution.values > space.low) & (solution.values < space.high))
-    errors, matrix = jacobian(problem, space, solution.values, free, central=True)
+    point = point_at(problem, space, solution.values)
+    errors = point.errors
+    free, matrix = slopes_at(problem, space, point)
     weights = huber_weights(errors, HUBER * solution.scale)
     found = spectrum(normal_equations(matrix, errors, weights).matrix, SINGULAR)
     scaled = found.inverse()
@@ -112,7 +113,7 @@ def uncertainty_of(
     moments[free] = _moments(np.sqrt(weights)[:, None] * matrix, inverse, clusters)
     doubts = _doubts(space, coordinate_sd, correlation, inflation, moments)
     known = Uncertainty(np.hypot(*sd), sd[0], sd[1], correlation, inflation, windows, moments, doubts)
-    for stopped, names in _dependent(problem, space, solution, free, coordinate_sd).items():
+    for stopped, names in _dependent(problem, space, point, solution.scale, free, coordinate_sd).items():
         known = undetermined(known, space.names, names, f"depends on {stopped}, which stands at a bound of the fit")
     return known
 
@@ -131,19 +132,19 @@ def undetermined(known: Uncertainty, order: Sequence[str], names: Sequence[str],
 
 
 def _dependent(
-    problem: Problem, space: Coordinates, solution: Solution, free: Integers, sd: Floats
+    problem: Problem, space: Coordinates, point: Point, scale: float, free: Integers, sd: Floats
 ) -> dict[str, list[str]]:
     """Free parameters by the one at a bound that they depend on: they would move with the step that the bound stops.
 
     A delay of zero is no bound of the fit but of nature, and what stands there is known.
     """
     movable = np.flatnonzero(space.high > space.low)
-    stopped = [k for k in movable if k not in free and not (space.names[k] == "delay_s" and solution.values[k] <= 0.0)]
+    stopped = [k for k in movable if k not in free and not (space.names[k] == "delay_s" and point.values[k] <= 0.0)]
     if not stopped or not free.size:
         return {}
     places = np.concatenate([free, np.array(stopped, dtype=np.int64)])
-    errors, matrix = jacobian(problem, space, solution.values, places, central=False)
-    normal = normal_equations(matrix, -errors, huber_weights(errors, HUBER * solution.scale))
+    matrix = jacobian(problem, space, point.values, point.errors, places, central=False)
+    normal = normal_equations(matrix, -point.errors, huber_weights(point.errors, HUBER * scale))
     size, found = free.size, {}
     inverse = spectrum(normal.matrix[:size, :size], SINGULAR)
     for column, k in enumerate(stopped, size):

@@ -28,7 +28,7 @@ from fffo_drive.identification.effects_fit import (
 )
 from fffo_drive.identification.layout import EffectScales, EffectStart, layout_of
 from fffo_drive.identification.prediction import Problem, jacobian
-from fffo_drive.identification.solver import Solution, solve
+from fffo_drive.identification.solver import Solution, point_at, solve
 from fffo_drive.identification.uncertainty import Uncertainty, uncertainty_of
 from fffo_drive.model.effects.table import Term
 
@@ -93,10 +93,9 @@ def fit_effects(
         other = solve(check._replace(layout=joint.layout), space, solution.values, max(4, iterations // 2))
         uncertainty = uncertainty_of(joint, space, solution, other.values - solution.values)
     movable = np.flatnonzero(space.high > space.low)
-    if with_jacobian:
-        errors, matrix = jacobian(joint, space, solution.values, movable, central=False)
-    else:
-        errors, matrix = jacobian(joint, space, solution.values, movable[:0], central=False)
+    errors = point_at(joint, space, solution.values).errors
+    columns = movable if with_jacobian else movable[:0]
+    matrix = jacobian(joint, space, solution.values, errors, columns, central=False)
     found = to_physical(solution.values, space.scale)
     fitted = effects_of(joint.layout, found, None if uncertainty is None else uncertainty.sd)
     return EffectsFit(found, fitted, errors, matrix, movable, joint, space, solution, uncertainty)

@@ -19,7 +19,7 @@ from fffo_drive.least_squares import (
     sums_by,
 )
 
-RULE = Rule(1e-3, 0.2, 1e-8, 8.0, 0.0, 8, 1e-10, 0.0)
+RULE = Rule(1e-3, 0.2, 1e-8, 8.0, 0.0, 8, 1e-10, 0.0, 0.0)
 TIME_S = np.linspace(0.0, 3.0, 200)
 NOISE = np.random.default_rng(5).normal(0.0, 0.01, TIME_S.size)
 
@@ -97,7 +97,7 @@ def decay(parameters):
 def fitted(target, low=-np.inf, limit=np.inf, start=(0.5, 0.2), iterations=60, rule=RULE):
     """Amplitude and rate (at least `low`) by `minimise`."""
 
-    def about(point):
+    def about(point, anew):
         model, slopes = decay(point)
         weight = huber_weights(target - model, limit)
         normal = normal_equations(slopes, target - model, weight)

@@ -109,6 +109,6 @@ def test_the_noise_of_the_position_is_found_and_bends_presliding_one_way(space):
     assert sensor_noise_rev(noisy) == pytest.approx(wanted, rel=0.05)
     scale, cost = solution_at(noisy, TRUTH)
     solution = refine(noisy, space, Solution(to_coordinates(TRUTH, space.scale), cost, 1, True, scale))
-    shift = noise_shift(noisy, space, solution)
+    shift = noise_shift(noisy, space, solution.values)
     assert shift[MODEL_PARAMETERS.index("stiffness_per_rev")] < 0.0
     assert abs(shift[MODEL_PARAMETERS.index("inertia_nm_s2_per_rev")]) < 1e-3
