@@ -7,7 +7,8 @@ residual; at the end, each must still do so given all others (backward eliminati
 
 A wave's column is g(N w) [cos, sin](2 pi N angle) with the gain g of the rows' own filter: no order aliases. It is
 judged by strokes in which the wave comes back: in a shorter one a contact that yields looks like a wave of the stroke's
-own order.
+own order. A wave of the measured angle, e, is one of -(J e'' + D e') in the balance of what was measured, and stands
+beside the waves of the torque: they differ in how they grow with the speed.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ HIGHEST_CUTOFF_HZ = 150.0
 HIGHEST_CUTOFF_PERIODS = 0.15
 GRAVITY_PERIODS = 0.25  # a quarter turn of a pendulum bends enough; less is a constant and a slope
 WAVE_PERIODS = 2.0  # a wave has to come back, within a stroke
+SENSOR_ERROR = law_of("resolver_error")
+SENSOR_ORDERS = (1.0, 2.0)  # its waves, in the order of its strengths
 MOVED_SAMPLES = 2.0  # by which the delay is another: the step of its scan
 SAME_COLUMNS = 1e-4  # of a column's squared norm that must remain after projecting out the known columns
 
@@ -104,6 +107,7 @@ class _Bench(NamedTuple):
     base: Floats  # (m, p) columns of the axis itself
     classes: npt.NDArray[np.int64]
     level_nm: Floats  # of friction at these speeds, by the start
+    start: TorqueStart
     runs: int
     stroke_rev: Floats  # (m,) travel from one reversal to the next, of the stroke that a row is in
     stretches: Sequence[RegressionStretch]
@@ -208,7 +212,7 @@ def _bench(records: Sequence[Record], start: TorqueStart, orders: Sequence[float
     folds = folds_of(rows.bounds, rows.period_s)
     strokes_rev = np.concatenate([stroke_lengths_rev(s.motion)[s.rows] for s in stretches])
     return _Bench(
-        rows, folds, base, np.searchsorted(edges, speed), level_nm, len(records), strokes_rev, stretches
+        rows, folds, base, np.searchsorted(edges, speed), level_nm, start, len(records), strokes_rev, stretches
     ), cutoff_hz
 
 
@@ -235,14 +239,18 @@ def _on_rung(
         ]
     else:
         orders, looked_at = _orders(bench, chosen, facts)
+        phases = (False,) if same_zero else (False, True)
         found = [
             EffectCandidate(rung, "cogging", ("cos_nm", "sin_nm"), {"order": order}, order, per_run)
             for order in orders
-            for per_run in ((False,) if same_zero else (False, True))
+            if order not in {one.order for one in chosen if one.name != SENSOR_ERROR.name}
+            for per_run in phases
         ]
-        taken = {candidate.order for candidate in chosen}
-        found = [one for one in found if one.order not in taken and _comes_back(bench, one.order).any()]
-        return found, looked_at * (1 if same_zero else 2)
+        if bench.start.has_inertia and not any(one.name == SENSOR_ERROR.name for one in chosen):
+            names = tuple(p.name for p in SENSOR_ERROR.strengths)
+            found += [EffectCandidate(rung, SENSOR_ERROR.name, names, {}, SENSOR_ORDERS[0], p) for p in phases]
+            looked_at += 1
+        return [one for one in found if _comes_back(bench, one.order).any()], looked_at * len(phases)
     taken_names = {(candidate.name, candidate.order) for candidate in chosen}
     if turns_one_way(bench.rows.direction[bench.rows.sliding]) and rung in (CONSTANT_TORQUE, DIRECTION_RUNG):
         return [], 0  # they are Coulomb friction there
@@ -344,10 +352,23 @@ def _columns(bench: _Bench, candidate: EffectCandidate) -> Floats:
         return bench.level_nm[:, None]
     if candidate.name == "asymmetric_viscous":
         return np.abs(rows.velocity_rps)[:, None]
-    wave = wave_columns(rows, candidate.order)
+    if candidate.name == SENSOR_ERROR.name:
+        wave = np.column_stack([_sensor_columns(rows, bench.start, order) for order in SENSOR_ORDERS])
+    else:
+        wave = wave_columns(rows, candidate.order)
     if not candidate.per_run:
         return wave
     return np.column_stack([wave * (rows.run == number)[:, None] for number in range(bench.runs)])
+
+
+def _sensor_columns(rows: RegressionRows, start: TorqueStart, order: float) -> Floats:
+    """What a cosine and a sine of an order in the measured angle, a revolution high, add to the torque. (m, 2), Nm"""
+    turn = 2j * np.pi * order
+    slope = turn * rows.velocity_rps
+    curvature = slope * slope + turn * rows.acceleration_rps2
+    torque_nm = -(start.inertia_nm_s2_per_rev * curvature + start.viscous_nm_per_rps * slope)
+    wave = torque_nm * np.exp(turn * rows.position_rev) * _passed_by_filter(rows, order)
+    return np.column_stack([wave.real, wave.imag])
 
 
 def _evidence(bench: _Bench, candidate: EffectCandidate) -> Floats:
