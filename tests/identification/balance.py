@@ -15,8 +15,12 @@ BOTH_WAYS = ((4.0, 0.31, 0.0), (2.0, 1.3, 1.0), (0.5, 4.7, 2.0))  # (rps, Hz, ra
 def balance_record(
     name, mean_rps=0.0, sines=BOTH_WAYS, duration_s=30.0, inertia=INERTIA, viscous=VISCOUS, coulomb=COULOMB,
     load=lambda time_s, position_rev, velocity_rps: 0.0 * time_s, noise_nm=2e-4, seed=1, begin_s=0.0,
+    sensor_rev=lambda position_rev: 0.0,
 ):  # fmt: skip
-    """J a + sigma w + Fc sgn(w) + load, without a delay; white noise of `noise_nm` on the torque, whole counts."""
+    """J a + sigma w + Fc sgn(w) + load, without a delay; white noise of `noise_nm` on the torque, whole counts.
+
+    `sensor_rev`: error of the measured angle over the angle.
+    """
     fine_s = np.arange(round(duration_s / PERIOD_S)) * PERIOD_S
     middle_s = fine_s + 0.5 * PERIOD_S  # the command is held: what it has to be in the middle of its period
 
@@ -32,8 +36,8 @@ def balance_record(
     torque = inertia * acceleration + viscous * velocity + coulomb * np.sign(velocity)
     torque = torque + load(middle_s, position, velocity)
     torque = torque + noise_nm * np.random.default_rng(seed).standard_normal(fine_s.size)
-    lsb_rev = 2.0**-15
+    lsb_rev, angle = 2.0**-15, motion(fine_s)[0]
     return replace(
-        record_of(torque[:200] / KT, name=name),
-        current_a=torque / KT, position_rev=np.floor(motion(fine_s)[0] / lsb_rev) * lsb_rev, begin_s=begin_s,
+        record_of(torque[:200] / KT, name=name), begin_s=begin_s,
+        current_a=torque / KT, position_rev=np.floor((angle + sensor_rev(angle)) / lsb_rev) * lsb_rev,
     )  # fmt: skip

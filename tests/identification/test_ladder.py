@@ -101,6 +101,28 @@ def test_a_phase_for_each_run_where_their_zeros_differ():
     assert start.per_run["sin_nm"] == pytest.approx((0.0, -0.2 * COULOMB), abs=0.02 * COULOMB)
 
 
+@pytest.mark.parametrize("cogging", [0.0, 0.2])
+def test_an_error_of_the_sensor_is_no_wave_of_the_torque(cogging):
+    """It grows with the square of the speed, and a wave of the torque of the same order beside it does not."""
+    angle = [2e-4, -1e-4, 5e-4, 3e-4]
+
+    def sensor_rev(position_rev):
+        first, second = np.exp(2j * np.pi * position_rev), np.exp(4j * np.pi * position_rev)
+        return angle[0] * first.real + angle[1] * first.imag + angle[2] * second.real + angle[3] * second.imag
+
+    load = wave(2.0, cogging * COULOMB, 0.0)
+    ladder = climbed(
+        [balance_record(n, sines=s, sensor_rev=sensor_rev, load=load) for n, s in (("a", BOTH_WAYS), ("b", OTHER_WAYS))]
+    )
+    expected = [("cogging", 2.0)] * bool(cogging) + [("resolver_error", 1.0)]
+    assert sorted(names(ladder)) == expected
+    found = next(one for one in ladder.accepted if one.candidate.name == "resolver_error")
+    assert found.candidate.strengths == ("cos1_rev", "sin1_rev", "cos2_rev", "sin2_rev")
+    for run in found.coefficients.reshape(-1, 4):
+        assert run == pytest.approx(angle, abs=2.0 * 2.0**-15)  # two counts of the sensor
+    assert ladder.start.inertia_nm_s2_per_rev == pytest.approx(INERTIA, rel=0.01)
+
+
 def test_one_way_a_constant_torque_is_not_claimed():
     ladder = climbed(
         [balance_record("a", 4.0, ((2.0, 0.31, 0.0), (0.8, 2.3, 1.0)), load=lambda t, p, v: 0.004 + 0 * t)]
