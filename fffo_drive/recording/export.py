@@ -14,10 +14,9 @@ from ..extras import needs_extra
 from ..units import NS_PER_S
 from .errors import RecordingError
 from .events import Event
-from .reader import RowBlock, RowBlocks, Window
+from .reader import RowBlock, RowBlocks, Window, groups
 
 TIME = "time_s"  # since the first row of the first file
-GROUP_ROWS = 1 << 15  # of a row group of Parquet: its footer holds statistics of every column of every group
 AROUND_S = 1.0  # on each side of an event
 FORMATS = (".csv", ".parquet")
 
@@ -71,7 +70,7 @@ def export(
         for part in parts:
             later_s = (part.begin_ns - begin_ns) / NS_PER_S
             blocks = RowBlocks(part.path, window=Window(window.from_s - later_s, window.to_s - later_s))
-            for block in blocks:
+            for block in groups(blocks):  # each a row group of Parquet, with statistics of every column in the footer
                 write(_columns(block, names, begin_ns))
                 rows += len(block.rows)
                 told(rows / expected)
@@ -124,25 +123,16 @@ def _writer(out: Path) -> Iterator[Callable[[dict[str, Any]], None]]:
         raise RecordingError(needs_extra("`log export`", "import")) from error
     kind: Any = csv.CSVWriter if out.suffix.lower() == ".csv" else parquet.ParquetWriter
     writer: Any = None
-    group: list[Any] = []
-
-    def flush() -> None:
-        nonlocal writer
-        table = pyarrow.concat_tables(group)
-        writer = writer or kind(file, table.schema)
-        writer.write_table(table.combine_chunks())
-        group.clear()
 
     def write(columns: dict[str, Any]) -> None:
-        group.append(pyarrow.table(columns))
-        if sum(map(len, group)) >= GROUP_ROWS:
-            flush()
+        nonlocal writer
+        table = pyarrow.table(columns)
+        writer = writer or kind(file, table.schema)
+        writer.write_table(table)
 
     with out.open("xb") as file:
         try:
             yield write
-            if group:
-                flush()
             if writer is not None:
                 writer.close()
         except BaseException:

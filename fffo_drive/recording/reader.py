@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -52,6 +52,7 @@ Array = np.ndarray[Any, np.dtype[Any]]
 T = TypeVar("T")
 _MESSAGE_PREFIX = message_dtype(0).itemsize
 _LOG_TIME = 1 + 8 + 2 + 4  # bytes of opcode, length, channel and sequence in front of it
+GROUP_ROWS = 1 << 15  # 10 MB, 16 s at 2 kHz: what costs the same for any number of rows is then little
 _CURRENT_LAYOUT = RowLayout(ROW, UNITS, {signal.name: signal.meaning for signal in SIGNALS})
 
 
@@ -148,14 +149,7 @@ def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
     """
     blocks = RowBlocks(path, topic)
     found = list(blocks)
-    rest = blocks.rest
-    # joined as bytes: field by field it would take forty times as long
-    rows = np.concatenate([block.rows.view(f"V{rest.rows.dtype.itemsize}") for block in found]) if found else None
-    return replace(
-        rest,
-        rows=rest.rows if rows is None else rows.view(rest.rows.dtype),
-        log_time_ns=np.concatenate([block.log_time_ns for block in found]) if found else rest.log_time_ns,
-    )
+    return replace(blocks.rest, **_joined(found)._asdict()) if found else blocks.rest
 
 
 class RowBlock(NamedTuple):
@@ -168,6 +162,25 @@ class RowBlock(NamedTuple):
     def stamps_ns(self) -> Array:
         """(n,) Deadlines; log times where the rows have none."""
         return self.rows["deadline_ns"] if "deadline_ns" in (self.rows.dtype.names or ()) else self.log_time_ns
+
+
+def _joined(blocks: Sequence[RowBlock]) -> RowBlock:
+    dtype = blocks[0].rows.dtype
+    # as bytes: field by field it would take forty times as long
+    rows = np.concatenate([block.rows.view(f"V{dtype.itemsize}") for block in blocks])
+    return RowBlock(rows.view(dtype), np.concatenate([block.log_time_ns for block in blocks]))
+
+
+def groups(blocks: Iterable[RowBlock], least_rows: int = GROUP_ROWS) -> Iterator[RowBlock]:
+    """The same rows in larger blocks; only the last one may have fewer rows."""
+    waiting: list[RowBlock] = []
+    for block in blocks:
+        waiting.append(block)
+        if sum(len(one.rows) for one in waiting) >= least_rows:
+            yield _joined(waiting)
+            waiting.clear()
+    if waiting:
+        yield _joined(waiting)
 
 
 class Window(NamedTuple):

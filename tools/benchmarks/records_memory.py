@@ -44,6 +44,8 @@ def write_long(run: Run, path: Path, seconds: float) -> None:
     """Its rows for so long."""
     attachments = [(one.name, one.media_type, one.data) for one in run.attachments.values()]
     writer = RunWriter(path, dict(run.metadata), attachments, 0)
+    for record in run.records:
+        writer.write_record(record, int(run.rows["deadline_ns"][0]))
     rows, ticks = run.rows.copy(), int(run.rows["tick"][-1] - run.rows["tick"][0]) + 1
     travel_rev = float(run.rows["position_rev"][-1] - run.rows["position_rev"][0])
     period_ns = int(np.median(np.diff(rows["deadline_ns"])))
@@ -51,6 +53,7 @@ def write_long(run: Run, path: Path, seconds: float) -> None:
         for begin in range(0, len(rows), WRITE_ROWS):
             writer.write_rows(rows[begin : begin + WRITE_ROWS])
         rows["tick"] += ticks
+        rows["row_number"] += len(rows)
         rows["position_rev"] += travel_rev
         rows["deadline_ns"] += ticks * period_ns
     writer.close({})
