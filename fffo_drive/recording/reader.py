@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -141,14 +141,15 @@ class Run:
         return None if samples is None else int(samples)
 
 
-def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
-    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks).
+def read_run(path: Path | str, topic: str = ROW_TOPIC, columns: Collection[str] | None = None) -> Run:
+    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks); `columns`: those fields
+    of the rows alone, as far as they are there, which a long one needs.
 
     Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
     opened.
     """
     blocks = RowBlocks(path, topic)
-    found = list(blocks)
+    found = [block if columns is None else block.only(columns) for block in blocks]
     return replace(blocks.rest, **_joined(found)._asdict()) if found else blocks.rest
 
 
@@ -157,6 +158,14 @@ class RowBlock(NamedTuple):
 
     rows: Array  # (n,) structured, fields as in the file's schema
     log_time_ns: Array  # (n,) int64
+
+    def only(self, columns: Collection[str]) -> RowBlock:
+        """Without the other fields."""
+        kept = [name for name in self.rows.dtype.names or () if name in columns]
+        rows = np.empty(len(self.rows), [(name, self.rows.dtype[name]) for name in kept])
+        for name in kept:
+            rows[name] = self.rows[name]
+        return RowBlock(rows, self.log_time_ns)
 
     @property
     def stamps_ns(self) -> Array:
@@ -299,6 +308,14 @@ def describe(path: Path | str, check: bool = False) -> dict[str, Any]:
         "metadata": dict(run.metadata),
         "summary": dict(run.summary),
     }
+
+
+def read_without_rows(path: Path | str) -> Run:
+    """A recording without its rows: of a finished one from its index. Raises the errors of `read_run`."""
+    blocks = RowBlocks(path)
+    for _ in blocks.ends():
+        pass
+    return blocks.rest
 
 
 class RunHead(NamedTuple):

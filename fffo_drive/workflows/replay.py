@@ -14,7 +14,7 @@ from ..control.controller import pack_controller
 from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
-from ..recording.reader import RowBlocks, Run, groups, read_metadata, read_run
+from ..recording.reader import RowBlocks, Run, groups, read_metadata, read_run, read_without_rows
 from ..recording.rotation import SUFFIX, later_segments, run_name
 
 MODEL_FORMAT = "fffo_drive/model/"
@@ -26,10 +26,7 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
     replayer: Replayer | None = None
     torn: list[str] = []
     for file in files:
-        blocks = RowBlocks(file)
-        for _ in blocks.ends():
-            pass
-        run = blocks.rest  # its records name what the rows refer to by number
+        run = read_without_rows(file)  # its records name what the rows refer to by number
         torn += [run.reason] if run.reason else []
         if replayer is None:
             replayer = Replayer(None if other is None else _other_law(other, run))
@@ -37,7 +34,7 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
         fallback = None if named or other is not None else _law_of(*recorded_files(run))
         try:
             if named and "row_number" in (run.rows.dtype.names or ()):
-                for rows, _ in groups(blocks):
+                for rows, _ in groups(RowBlocks(file)):
                     replayer.take(rows, run.records)
             else:  # of an older version: only all rows together have a beginning
                 replayer.take(read_run(file).rows, run.records, fallback)
