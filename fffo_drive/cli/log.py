@@ -1,6 +1,7 @@
 """Read recordings.
 
 fffo-drive log info FILE...       rows, columns with units, metadata, events, and whether the file is complete
+fffo-drive log export FILE... --out OUT.csv   rows as CSV or Parquet: all, some columns, a window of time
 fffo-drive log recover IN OUT     write a complete file from an incomplete one (NAME.mcap.part)
 """
 
@@ -8,14 +9,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import sys
 from pathlib import Path
 from typing import Any
 
 from ..documents import sentence
-from ..recording.reader import read_run
+from ..recording.export import AROUND_S, around, export
+from ..recording.reader import Window, describe
 from ..recording.recover import recover
+from .progress import progress_bar
 
 INFO = "show rows, columns with units, metadata and events of a recording, and whether it is complete"
+EXPORT = "write rows as CSV or Parquet: all, some columns, a window of time; files that follow each other become one"
 RECOVER = "write a complete file from an incomplete one"
 
 
@@ -24,7 +30,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     info = actions.add_parser("info", help=INFO, description=sentence(INFO))
     info.add_argument("files", metavar="FILE", nargs="+", help="recording (.mcap, .mcap.part)")
+    info.add_argument("--check", action="store_true", help="read every row and its checksums, not the index alone")
     info.add_argument("--json", action="store_true", help="print one JSON object, or a list of them")
+    table = actions.add_parser("export", help=EXPORT, description=sentence(EXPORT))
+    table.add_argument(
+        "files", metavar="FILE", nargs="+", help="recordings (.mcap, .mcap.part), in their order in time"
+    )
+    table.add_argument("--out", metavar="OUT", required=True, help="file to write (.csv, .parquet); must not exist")
+    table.add_argument("--columns", metavar="NAME,NAME", default="", help="these columns, beside time_s")
+    table.add_argument(
+        "--from", metavar="S", dest="from_s", type=float, help="from here on, seconds from the first row"
+    )
+    table.add_argument("--to", metavar="S", dest="to_s", type=float, help="up to here")
+    table.add_argument(
+        "--around",
+        metavar="TEXT",
+        help=f"{AROUND_S:g} s on each side of the first event of the first file that says this",
+    )
+    table.add_argument("--json", action="store_true", help="print one JSON object")
     rescue = actions.add_parser("recover", help=RECOVER, description=sentence(RECOVER))
     rescue.add_argument("torn", metavar="IN", help="incomplete recording (NAME.mcap.part)")
     rescue.add_argument("whole", metavar="OUT", help="file to write; must not exist")
@@ -33,11 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    return _recover(options) if options.action == "recover" else _info(options)
+    return {"recover": _recover, "export": _export, "info": _info}[options.action](options)
 
 
 def _info(options: argparse.Namespace) -> int:
-    described = [read_run(file).describe() for file in options.files]
+    described = [describe(file, options.check) for file in options.files]
     if options.json:
         print(json.dumps(described[0] if len(described) == 1 else described, indent=2))
         return 0
@@ -62,6 +85,28 @@ def _print(entry: dict[str, Any]) -> None:
         print(f"  record {record['sequence']}: {record['kind']}{number}")
     columns = ", ".join(name if unit == "-" else f"{name} [{unit}]" for name, unit in entry["columns"].items())
     print(f"  columns: {columns}")
+
+
+def _export(options: argparse.Namespace) -> int:
+    paths = [Path(file) for file in options.files]
+    window = Window(
+        0.0 if options.from_s is None else options.from_s, math.inf if options.to_s is None else options.to_s
+    )
+    if options.around is not None:
+        if options.from_s is not None or options.to_s is not None:
+            raise SystemExit("fffo-drive log export: --around says the window by itself: without --from and --to")
+        window, event = around(paths[0], options.around)
+        print(f"around {event.time} {event.source}: {event.text}", file=sys.stderr)
+    columns = [name.strip() for name in options.columns.split(",") if name.strip()]
+    with progress_bar("export", options.json) as bar:
+        done = export(paths, Path(options.out), columns, window, bar or (lambda share: None))
+    for reason in done.incomplete:
+        print(f"warning: {reason}", file=sys.stderr)
+    if options.json:
+        print(json.dumps({**done._asdict(), "path": str(done.path)}, indent=2))
+    else:
+        print(f"{done.path}: {done.rows} rows, {len(done.columns) + 1} columns")
+    return 0
 
 
 def _recover(options: argparse.Namespace) -> int:

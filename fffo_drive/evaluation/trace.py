@@ -9,6 +9,9 @@ import numpy as np
 from ..arrays import Floats
 from .metrics import Rows
 
+SAMPLE = "profile_sample"
+TRACED = (SAMPLE, "reference_rps", "velocity_rps", "true_velocity_rps", "current_command_a")  # of the rows
+
 
 class Trace(NamedTuple):
     """A profile as it ran, one sample per period; arrays (n,). `true_rps` is None if the true velocity is not known."""
@@ -32,12 +35,12 @@ def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
     A late loop skips samples of the profile, which have no row: the command is filled in as held by the drive, and all
     else by linear interpolation between rows, so that lags, bands and spectra keep their time base.
     """
-    sample = rows["profile_sample"]
+    sample = rows[SAMPLE]
     chosen = np.flatnonzero((sample >= 0) & (sample < (samples or np.iinfo(np.int32).max)))
     if chosen.size == 0:
         raise ValueError("no row to evaluate: the profile did not run")
     inside = rows[chosen[0] : chosen[-1] + 1]  # a view: other rows are before the first or after the last of a profile
-    known = inside["profile_sample"]
+    known = inside[SAMPLE]
     grid = np.arange(int(known[0]), int(known[-1]) + 1)
     held = np.searchsorted(known, grid, side="right") - 1
 

@@ -16,8 +16,10 @@ import numpy as np
 
 from ..arrays import Floats, Integers
 from ..identification.dataset import (
+    MODE,
     SHORTEST_S,
     TAKEN,
+    TIMING,
     DataError,
     Record,
     check_record,
@@ -39,8 +41,7 @@ from ..workflows.recorded_facts import facts_in
 
 PIECE_S = 20.0  # of a core
 MARGIN_S = 2.0  # on each side: the slowest filter has forgotten what was before by a factor of 1e15
-TIMING = ("tick", "velocity_age", "lateness_ns")
-TICKS = (*TIMING, "mode", "late", "trip", "error_rps")
+TICKS = (*TIMING, MODE, "late", "trip", "error_rps")
 NEEDED = {*TAKEN, *TICKS, TEMPERATURE.name}
 
 Columns = Mapping[str, Any]
@@ -125,7 +126,7 @@ class LogPieces:
         run = None if self._blocks is None else self._blocks.rest
         self.run: Run | None = run  # without its rows
         self.facts: DriveFacts = facts or facts_in(self._blocks.rest)  # type: ignore[union-attr]
-        self._loops = run is not None and "mode" in (run.rows.dtype.names or ())
+        self._loops = run is not None and MODE in (run.rows.dtype.names or ())
         if run is not None and self._loops and self._seen.active is None:
             raise DataError(run.lacks("the loop never applied torque in this run"))
         times_s = np.concatenate(first) if first else np.zeros(0)

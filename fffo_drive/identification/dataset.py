@@ -21,6 +21,7 @@ from ..importing.read import RECORDINGS, short_name
 from ..recording.errors import ForeignRecordingError, RecordingError
 from ..recording.files import regular
 from ..recording.reader import Run, read_run
+from ..signals import TEMPERATURE
 from .facts import DriveFacts
 from .gaps import LogTiming, mended
 from .impossible import fault_at_angle, impossible_lines, impossible_samples, resolution
@@ -57,6 +58,8 @@ TAKEN = (  # columns of a log that a fit may use
     "time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps",
     "reference_position_rev", "statusword",
 )  # fmt: skip
+TIMING = ("tick", "velocity_age", "lateness_ns")  # of a recording: from these follow the samples that were missed
+DEADLINE, MODE = "deadline_ns", "mode"  # of a recording: its time, and where the loop applied torque
 IN_WORDS = {
     "position_rev": "positions",
     "velocity_rps": "velocities",
@@ -118,7 +121,8 @@ def load_record(path: str | Path, facts: DriveFacts) -> Record:
     Raises DataError with all reasons against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
-    digest = hashlib.sha256(regular(path).read_bytes()).hexdigest()
+    with regular(path).open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return record_of_log(path, log_of(path, facts), facts, digest)
 
 
@@ -126,7 +130,7 @@ def log_of(path: Path, facts: DriveFacts) -> Run | Converted:
     """A recording as it is, any other log by the facts (`importing.log`). Raises RecordingError, OSError."""
     if path.name.endswith(RECORDINGS):
         with contextlib.suppress(ForeignRecordingError):
-            return read_run(path)
+            return read_run(path, columns=(*TAKEN, *TIMING, DEADLINE, MODE, TEMPERATURE.name))
     return read_log(path, facts.hints())
 
 
@@ -135,7 +139,7 @@ def record_of_log(path: Path, log: Run | Converted, facts: DriveFacts, digest: s
     columns = with_limit_column({name: log.columns[name] for name in TAKEN if name in log.columns})
     warnings = list(log.remarks) if isinstance(log, Converted) else ([log.reason] if log.reason else [])
     fresh = None
-    if isinstance(log, Run) and "mode" in log.columns:  # of our loop, not imported
+    if isinstance(log, Run) and MODE in log.columns:  # of our loop, not imported
         columns, fresh, filled = _while_running(log, columns)
         warnings += [f"{path}: {filled}"] if filled else []
     return _record(path, columns, fresh, facts, warnings, digest)
@@ -274,7 +278,7 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
 
     Bus disturbances are repaired; also returns the repaired samples (None: none) and a summary in words.
     """
-    mode = np.asarray(run.column("mode"))
+    mode = np.asarray(run.column(MODE))
     active = np.flatnonzero(mode)
     if not active.size:
         raise DataError(run.lacks("the loop never applied torque in this run"))
@@ -282,10 +286,9 @@ def _while_running(run: Run, columns: dict[str, Floats]) -> tuple[dict[str, Floa
     kept = {name: np.ascontiguousarray(values[part]) for name, values in columns.items()}
     if not (mode[part] == 1).any():
         kept.pop("reference_rps", None)
-    names = ("tick", "velocity_age", "lateness_ns")
-    if part.stop - part.start < 2 or any(name not in run.columns for name in names):
+    if part.stop - part.start < 2 or any(name not in run.columns for name in TIMING):
         return kept, None, ""
-    timing = LogTiming(*(run.columns[name][part].astype(np.int64) for name in names))
+    timing = LogTiming(*(run.columns[name][part].astype(np.int64) for name in TIMING))
     whole = mended(kept, timing, float(np.median(np.diff(kept["time_s"]))))
     if not whole.filled:
         return whole.columns, None, ""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Metadata, Schema, Statistics
+from mcap.summary import Summary
 
 from ..documents import did_you_mean
 from ..signals import ROW, SIGNALS, UNITS
@@ -20,6 +22,7 @@ from ..units import NS_PER_S
 from .errors import ForeignRecordingError, RecordingError
 from .events import Event, decode_event
 from .files import regular
+from .index import read_index, record_at
 from .run_records import RECORD_TOPIC, RECORD_TYPE, RecordKind, RunRecord, decode_record
 from .scan import (
     HEAD_SIZE,
@@ -49,6 +52,7 @@ Array = np.ndarray[Any, np.dtype[Any]]
 T = TypeVar("T")
 _MESSAGE_PREFIX = message_dtype(0).itemsize
 _LOG_TIME = 1 + 8 + 2 + 4  # bytes of opcode, length, channel and sequence in front of it
+GROUP_ROWS = 1 << 15  # 10 MB, 16 s at 2 kHz: what costs the same for any number of rows is then little
 _CURRENT_LAYOUT = RowLayout(ROW, UNITS, {signal.name: signal.meaning for signal in SIGNALS})
 
 
@@ -136,85 +140,182 @@ class Run:
         samples = self.metadata.get("profile_samples")
         return None if samples is None else int(samples)
 
-    def describe(self) -> dict[str, Any]:
-        """The recording in one JSON object."""
-        periods = np.diff(self.time_s)
-        return {
-            "file": str(self.path),
-            "complete": self.complete,
-            "reason": self.reason,
-            "rows": len(self.rows),
-            "duration_s": float(self.time_s[-1]) if len(self.rows) else 0.0,
-            "period_s": float(np.median(periods)) if len(periods) else None,
-            "columns": {name: self.units[name] for name in self.rows.dtype.names or ()},
-            "events": [event.as_dict() for event in self.events],
-            "records": [record.as_dict() for record in self.records],
-            "attachments": {
-                a.name: {"media_type": a.media_type, "bytes": len(a.data)} for a in self.attachments.values()
-            },
-            "metadata": dict(self.metadata),
-            "summary": dict(self.summary),
-        }
 
-
-def read_run(path: Path | str, topic: str = ROW_TOPIC) -> Run:
-    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks).
+def read_run(path: Path | str, topic: str = ROW_TOPIC, columns: Collection[str] | None = None) -> Run:
+    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks); `columns`: those fields
+    of the rows alone, as far as they are there, which a long one needs.
 
     Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
     opened.
     """
     blocks = RowBlocks(path, topic)
-    found = list(blocks)
-    rest = blocks.rest
-    # joined as bytes: field by field it would take forty times as long
-    rows = np.concatenate([block.rows.view(f"V{rest.rows.dtype.itemsize}") for block in found]) if found else None
-    return replace(
-        rest,
-        rows=rest.rows if rows is None else rows.view(rest.rows.dtype),
-        log_time_ns=np.concatenate([block.log_time_ns for block in found]) if found else rest.log_time_ns,
-    )
+    found = [block if columns is None else block.only(columns) for block in blocks]
+    return replace(blocks.rest, **_joined(found)._asdict()) if found else blocks.rest
 
 
 class RowBlock(NamedTuple):
     """Rows that follow each other in a recording."""
 
-    first: int  # number of its first row in the file
     rows: Array  # (n,) structured, fields as in the file's schema
     log_time_ns: Array  # (n,) int64
+
+    def only(self, columns: Collection[str]) -> RowBlock:
+        """Without the other fields."""
+        kept = [name for name in self.rows.dtype.names or () if name in columns]
+        rows = np.empty(len(self.rows), [(name, self.rows.dtype[name]) for name in kept])
+        for name in kept:
+            rows[name] = self.rows[name]
+        return RowBlock(rows, self.log_time_ns)
+
+    @property
+    def stamps_ns(self) -> Array:
+        """(n,) Deadlines; log times where the rows have none."""
+        return self.rows["deadline_ns"] if "deadline_ns" in (self.rows.dtype.names or ()) else self.log_time_ns
+
+
+def _joined(blocks: Sequence[RowBlock]) -> RowBlock:
+    dtype = blocks[0].rows.dtype
+    # as bytes: field by field it would take forty times as long
+    rows = np.concatenate([block.rows.view(f"V{dtype.itemsize}") for block in blocks])
+    return RowBlock(rows.view(dtype), np.concatenate([block.log_time_ns for block in blocks]))
+
+
+def groups(blocks: Iterable[RowBlock], least_rows: int = GROUP_ROWS) -> Iterator[RowBlock]:
+    """The same rows in larger blocks; only the last one may have fewer rows."""
+    waiting: list[RowBlock] = []
+    for block in blocks:
+        waiting.append(block)
+        if sum(len(one.rows) for one in waiting) >= least_rows:
+            yield _joined(waiting)
+            waiting.clear()
+    if waiting:
+        yield _joined(waiting)
+
+
+class Window(NamedTuple):
+    """A part of a recording: rows from here on and before there, in seconds since its first row."""
+
+    from_s: float = 0.0
+    to_s: float = math.inf
+
+
+Choice = Callable[[Sequence[ChunkIndex]], Sequence[ChunkIndex]]  # of the chunks that hold rows
 
 
 class RowBlocks:
     """The rows of a recording, finished or torn, in blocks of one chunk each (some hundred kB): in constant memory.
 
-    May be iterated again; each time the file is read anew. `rest` is what the last iteration found beside the rows.
-    Iterating raises the errors of `read_run`.
+    Of a finished one the chunks outside `window` are not read. May be iterated again; each time the file is read anew.
+    `rest` is what the last iteration found beside the rows, and `count` the rows of the whole file. Iterating raises
+    the errors of `read_run`.
     """
 
-    def __init__(self, path: Path | str, topic: str = ROW_TOPIC) -> None:
-        self._path, self._topic = Path(path), topic
+    def __init__(self, path: Path | str, topic: str = ROW_TOPIC, window: Window | None = None) -> None:
+        self._path, self._topic, self._window = Path(path), topic, window
         self._rest: Run | None = None
+        self.count = 0
 
     def __iter__(self) -> Iterator[RowBlock]:
+        if self._window is None:
+            yield from self._read(None)
+            return
+        first = next(self._read(lambda chunks: chunks[:1]), None)
+        first_ns = 0 if first is None else int(first.log_time_ns[0])
+        from_s, to_s = self._window
+
+        def inside(chunks: Sequence[ChunkIndex]) -> Sequence[ChunkIndex]:
+            spans = [(one, one.message_start_time - first_ns, one.message_end_time - first_ns) for one in chunks]
+            return [
+                one for one, begin_ns, end_ns in spans if end_ns / NS_PER_S >= from_s and begin_ns / NS_PER_S < to_s
+            ]
+
+        for rows, log_time_ns in self._read(inside):
+            time_s = (log_time_ns - first_ns) / NS_PER_S
+            kept = (time_s >= from_s) & (time_s < to_s)
+            if kept.any():
+                yield RowBlock(rows[kept], log_time_ns[kept])
+
+    def ends(self) -> Iterator[RowBlock]:
+        """The first and the last block, and those that hold more than rows; all blocks where there is no index."""
+        return self._read(lambda chunks: [*chunks[:1], *chunks[-1:]])
+
+    def _read(self, choice: Choice | None) -> Iterator[RowBlock]:
+        """All blocks, or those of a choice where an index says where they are."""
         collector = _Collector(self._path, self._topic)
         with regular(self._path).open("rb") as file:
+            summary = None if choice is None else read_index(file)
+            file.seek(0)
             scanner = Scanner(file, str(self._path))
-            for record in scanner:
-                first = collector.count
+            chosen = _chosen(file, summary, collector, choice) if choice is not None and summary is not None else None
+            for record in scanner if chosen is None else chosen:
                 try:
                     collector.take(record, scanner)
                 except DamagedRecordError as damage:
                     scanner.damage(record, str(damage))
                     break
                 for rows, times in collector.taken():
-                    yield RowBlock(first, rows, times)
-                    first += len(rows)
-        self._rest = collector.run(scanner.tear)
+                    yield RowBlock(rows, times)
+            if chosen is not None and scanner.tear is None:
+                collector.count = collector.stated_rows
+        self._rest, self.count = collector.run(scanner.tear), collector.count
 
     @property
     def rest(self) -> Run:
         """The recording without its rows."""
         assert self._rest is not None, "iterate over all blocks first"
         return self._rest
+
+
+def _chosen(file: BinaryIO, summary: Summary, collector: _Collector, choice: Choice) -> Iterator[McapRecord]:
+    """What a file holds beside rows, and the chosen chunks of rows, in their order."""
+    collector.know(summary)
+    for attachment in summary.attachment_indexes:
+        yield record_at(file, Opcode.ATTACHMENT, attachment.offset, attachment.length)
+    for metadata in summary.metadata_indexes:
+        yield record_at(file, Opcode.METADATA, metadata.offset, metadata.length)
+    channels = [set(chunk.message_index_offsets) for chunk in summary.chunk_indexes]
+    rows = collector.layouts.keys()
+    with_rows = [chunk for chunk, own in zip(summary.chunk_indexes, channels, strict=True) if own & rows]
+    wanted = {chunk.chunk_start_offset for chunk in choice(with_rows)}
+    for chunk, own in zip(summary.chunk_indexes, channels, strict=True):
+        if chunk.chunk_start_offset in wanted or not own <= rows:
+            yield record_at(file, Opcode.CHUNK, chunk.chunk_start_offset, chunk.chunk_length)
+
+
+def describe(path: Path | str, check: bool = False) -> dict[str, Any]:
+    """A recording in one JSON object, from its index where it has one; `check`: every chunk is read and checked.
+
+    `period_s` is the median of its first and its last block. Raises the errors of `read_run`.
+    """
+    blocks = RowBlocks(path)
+    ends: list[RowBlock] = []
+    for block in blocks if check else blocks.ends():
+        ends = [*ends[:1], block]
+    run = blocks.rest
+    stamps = [block.stamps_ns for block in ends]
+    periods = np.concatenate([np.diff(part) for part in stamps]) if stamps else np.zeros(0)
+    return {
+        "file": str(run.path),
+        "complete": run.complete,
+        "reason": run.reason,
+        "rows": blocks.count,
+        "duration_s": float(stamps[-1][-1] - stamps[0][0]) / NS_PER_S if stamps else 0.0,
+        "period_s": float(np.median(periods)) / NS_PER_S if len(periods) else None,
+        "columns": {name: run.units[name] for name in run.rows.dtype.names or ()},
+        "events": [event.as_dict() for event in run.events],
+        "records": [record.as_dict() for record in run.records],
+        "attachments": {a.name: {"media_type": a.media_type, "bytes": len(a.data)} for a in run.attachments.values()},
+        "metadata": dict(run.metadata),
+        "summary": dict(run.summary),
+    }
+
+
+def read_without_rows(path: Path | str) -> Run:
+    """A recording without its rows: of a finished one from its index. Raises the errors of `read_run`."""
+    blocks = RowBlocks(path)
+    for _ in blocks.ends():
+        pass
+    return blocks.rest
 
 
 class RunHead(NamedTuple):
@@ -336,6 +437,19 @@ class _Collector:
             raise RecordingError(f"{place} changes its fields within the file: rows of two kinds make no columns")
         return layout
 
+    @property
+    def stated_rows(self) -> int:
+        """Rows by the file's statistics."""
+        return sum(count for channel, count in self.stated.items() if channel in self.layouts)
+
+    def know(self, summary: Summary) -> None:
+        """Schemas, channels and statistics of an index."""
+        self.schemas.update(summary.schemas)
+        for channel in summary.channels.values():
+            self._take_channel(channel)
+        if summary.statistics is not None:
+            self.stated = summary.statistics.channel_message_counts
+
     def taken(self) -> list[tuple[Array, Array]]:
         """Rows since the last call."""
         blocks, self.blocks = self.blocks, []
@@ -351,9 +465,8 @@ class _Collector:
                 f"{self.path}: no rows on {self.topic!r}: {hint}\n  import a log of another program with: {line}"
             )
         layout = next(iter(self.layouts.values()), _CURRENT_LAYOUT)
-        stated = sum(count for channel, count in self.stated.items() if channel in self.layouts)
-        if tear is None and self.stated and stated != self.count:
-            tear = f"states {stated} rows in its statistics"
+        if tear is None and self.stated and self.stated_rows != self.count:
+            tear = f"states {self.stated_rows} rows in its statistics"
         reason = "" if tear is None else _torn(self.path, tear, self.count)
         return Run(
             path=self.path,

@@ -31,7 +31,7 @@ from ..documents import DocumentError
 from ..drive.port import DriveIdentity
 from ..evaluation.campaign import Evaluation, evaluation_of
 from ..evaluation.measures import Yardstick
-from ..evaluation.trace import trace_of
+from ..evaluation.trace import SAMPLE, TRACED, trace_of
 from ..recording.reader import Run, read_run
 from ..recording.settings import Rows, RunHeader
 from ..runtime.runs import RunOutcome, record_live
@@ -56,14 +56,14 @@ def evaluate_recordings(
     files: Sequence[str], yardstick: Yardstick | None
 ) -> tuple[Yardstick, list[Evaluation], list[str]]:
     """Recorded runs by controller, the n-th run of each as its seed n; and cautions about comparing them."""
-    runs = [read_run(file) for file in files]
+    runs = [read_run(file, columns=(*TRACED, "profile_number")) for file in files]
     shapes = {(run.profile_samples, run.metadata.get("period_s")) for run in runs}
     cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
     if len(shapes) > 1:
         cautions.append("The recordings have different profiles: their metrics are not comparable.")
     rows = [_profile_of(run) for run in runs]
     for run, (own, samples) in zip(runs, rows, strict=True):
-        reached = (int(own["profile_sample"][-1]) + 1) / samples
+        reached = (int(own[SAMPLE][-1]) + 1) / samples
         if reached < WHOLE_SHARE:
             cautions.append(f"{run.path.name}: it ended after {100.0 * reached:.0f} % of its profile.")
     if yardstick is None:
@@ -109,7 +109,7 @@ def controller_name(run: Run) -> str:
 
 def _profile_of(run: Run) -> tuple[Rows, int]:
     """The rows inside the profile of a run, and its samples. Raises DocumentError."""
-    samples, sample = run.profile_samples or 0, run.rows["profile_sample"]
+    samples, sample = run.profile_samples or 0, run.rows[SAMPLE]
     if samples == 0 and (sample >= 0).any():
         raise DocumentError(f"{run.path}: contains more than one profile: give recordings of one profile each")
     inside = run.rows[(sample >= 0) & (sample < samples)]

@@ -17,7 +17,7 @@ from ..importing.log import saying_how_to_import
 from ..importing.read import RECORDINGS, read_source
 from ..model.parameters import ModelFile
 from ..recording.errors import RecordingError
-from ..recording.reader import Run, read_run
+from ..recording.reader import Run, read_without_rows
 from .replay import recorded_files
 
 SIMULATED_RESOLVER_BITS = 15
@@ -42,7 +42,7 @@ def facts_for(file: str | None, logs: Sequence[str | Path]) -> DriveFacts:
                 f"{log}: a table has no facts about its drive: give them with --drive FILE, or convert the log with "
                 "`fffo-drive import`"
             )
-        own = facts_in(read_run(log))
+        own = facts_in(read_without_rows(log))
         if found is not None and own.model_copy(update={"name": found.name}) != found:
             raise DocumentError(f"{log}: its facts are not those of {logs[0]}: give logs of one axis")
         found = own

@@ -14,7 +14,7 @@ from ..control.controller import pack_controller
 from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
-from ..recording.reader import Run, read_metadata, read_run
+from ..recording.reader import RowBlocks, Run, groups, read_metadata, read_run, read_without_rows
 from ..recording.rotation import SUFFIX, later_segments, run_name
 
 MODEL_FORMAT = "fffo_drive/model/"
@@ -26,15 +26,18 @@ def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayRepor
     replayer: Replayer | None = None
     torn: list[str] = []
     for file in files:
-        run = read_run(file)
+        run = read_without_rows(file)  # its records name what the rows refer to by number
         torn += [run.reason] if run.reason else []
         if replayer is None:
             replayer = Replayer(None if other is None else _other_law(other, run))
-        fallback = None
-        if session_id(run.records) is None and other is None:
-            fallback = _law_of(*recorded_files(run))
+        named = session_id(run.records) is not None
+        fallback = None if named or other is not None else _law_of(*recorded_files(run))
         try:
-            replayer.take(run.rows, run.records, fallback)
+            if named and "row_number" in (run.rows.dtype.names or ()):
+                for rows, _ in groups(RowBlocks(file)):
+                    replayer.take(rows, run.records)
+            else:  # of an older version: only all rows together have a beginning
+                replayer.take(read_run(file).rows, run.records, fallback)
         except KeyError as error:
             raise DocumentError(f"{file}: a record in it has no {error}: it cannot be replayed here") from None
         except ValueError as error:

@@ -79,6 +79,13 @@ def test_a_run_with_everything_in_it_replays(story):
     assert sum(block.rows for block in report.blocks) == report.rows
 
 
+@pytest.mark.parametrize("rows", [1, 37, 800])
+def test_blocks_of_any_size_give_the_same_report(story, rows):
+    run, whole = read_run(story), replay_files([story])
+    report = replayed(*((run.rows[k : k + rows], run.records) for k in range(0, len(run.rows), rows)))
+    assert report == whole
+
+
 @settings(max_examples=12, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(st.tuples(st.sampled_from(WHAT), st.floats(0.0, 1.0), st.integers(1, 60)), min_size=8, max_size=25),

@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 from recording.samples import PERIOD_NS, WALL_NS, random_rows, same_bits, write_run
 
 from fffo_drive.recording.errors import RecordingError
-from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.reader import describe, read_run
 from fffo_drive.recording.schema import ROW_TOPIC, ROW_TYPE, schema_text
 from fffo_drive.signals import Signal
 
@@ -142,15 +142,14 @@ def test_columns_time_and_names(tmp_path):
 
 
 def test_description_is_json(tmp_path):
-    run = read_run(write_run(tmp_path / "a.mcap", random_rows(10)))
-    described = json.loads(json.dumps(run.describe()))
+    described = json.loads(json.dumps(describe(write_run(tmp_path / "a.mcap", random_rows(10)))))
     assert described["rows"] == 10
     assert described["period_s"] == pytest.approx(5e-4)
     assert described["complete"] is True
     assert described["columns"]["velocity_rps"] == "rps"
     assert described["attachments"]["axis.yaml"]["bytes"] == 14
     assert described["metadata"]["time_offset_ns"] == str(WALL_NS)
-    empty = read_run(write_run(tmp_path / "b.mcap", random_rows(0))).describe()
+    empty = describe(write_run(tmp_path / "b.mcap", random_rows(0)))
     assert (empty["rows"], empty["duration_s"], empty["period_s"]) == (0, 0.0, None)
 
 

@@ -25,7 +25,7 @@ from fffo_drive.daemon.client import ClientError, DaemonClient
 from fffo_drive.fleet.prior import Population
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.identification.facts import read_facts
-from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.reader import describe
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 LIMITS = {
@@ -188,7 +188,7 @@ def make(out: Path, circle: Path) -> None:
     for path in sorted(out.iterdir()):
         print(f"{path.name:<32} {path.stat().st_size}")
         if "mcap" in path.name:
-            described = read_run(path).describe()
+            described = describe(path)
             print(json.dumps({key: described[key] for key in ("complete", "reason", "rows", "metadata", "summary")}))
 
 
