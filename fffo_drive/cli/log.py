@@ -1,7 +1,7 @@
 """Read recordings.
 
 fffo-drive log info FILE...       rows, columns with units, metadata, events, and whether the file is complete
-fffo-drive log export FILE... --out OUT.csv   rows as CSV or Parquet: all, some columns, a window of time
+fffo-drive log export FILE... --out OUT.csv   rows as CSV or Parquet; with OUT.mcap a part of a recording
 fffo-drive log recover IN OUT     write a complete file from an incomplete one (NAME.mcap.part)
 """
 
@@ -21,7 +21,7 @@ from ..recording.recover import recover
 from .progress import progress_bar
 
 INFO = "show rows, columns with units, metadata and events of a recording, and whether it is complete"
-EXPORT = "write rows as CSV or Parquet: all, some columns, a window of time; files that follow each other become one"
+EXPORT = "write rows as CSV or Parquet, or a part of a recording; files that follow each other become one"
 RECOVER = "write a complete file from an incomplete one"
 
 
@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     table.add_argument(
         "files", metavar="FILE", nargs="+", help="recordings (.mcap, .mcap.part), in their order in time"
     )
-    table.add_argument("--out", metavar="OUT", required=True, help="file to write (.csv, .parquet); must not exist")
+    table.add_argument(
+        "--out", metavar="OUT", required=True, help="file to write (.csv, .parquet, .mcap); must not exist"
+    )
     table.add_argument("--columns", metavar="NAME,NAME", default="", help="these columns, beside time_s")
     table.add_argument(
         "--from", metavar="S", dest="from_s", type=float, help="from here on, seconds from the first row"

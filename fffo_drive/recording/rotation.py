@@ -21,6 +21,7 @@ from .reader import read_metadata
 from .writer import PART_SUFFIX
 
 SUFFIX = ".mcap"
+CONTINUES = "continues"  # in the metadata of a rotated file: the first file of its run
 FINISHED = f"*{SUFFIX}"
 UNFINISHED = FINISHED + PART_SUFFIX
 _OWN_LIBRARY = b"fffo-drive/"

@@ -12,7 +12,7 @@ from typing import Any
 from ..units import NS_PER_S
 from .disk import DiskUse, bytes_text
 from .events import Event, Level
-from .rotation import OfOneWriter, disk_use, enforce_quota, is_taken, segment_path
+from .rotation import CONTINUES, OfOneWriter, disk_use, enforce_quota, is_taken, segment_path
 from .run_records import FileStart, MemorySource, RunRecord, still_in_force
 from .settings import RecorderHooks, RecorderSettings, Rows, RunHeader
 from .writer import RunWriter
@@ -199,7 +199,7 @@ class RunFiles:
         path.parent.mkdir(exist_ok=True, parents=first)
         metadata = dict(self._header.metadata)
         if not first:
-            metadata |= {"segment": str(number), "continues": self._path.name}
+            metadata |= {"segment": str(number), CONTINUES: self._path.name}
         writer = RunWriter(
             path,
             metadata,

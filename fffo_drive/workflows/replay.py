@@ -15,7 +15,7 @@ from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
 from ..recording.reader import RowBlocks, Run, groups, read_metadata, read_run, read_without_rows
-from ..recording.rotation import SUFFIX, later_segments, run_name
+from ..recording.rotation import CONTINUES, SUFFIX, later_segments, run_name
 
 MODEL_FORMAT = "fffo_drive/model/"
 AXIS_FORMAT = b"fffo_drive/axis/"
@@ -60,7 +60,7 @@ def with_continuations(files: Iterable[Path]) -> list[Path]:
 def _continuations(file: Path) -> Iterator[Path]:
     """NAME_002.mcap, NAME_003.mcap ... that continue this file by their metadata; also one that is being written."""
     for other in later_segments(file):
-        if read_metadata(other).get("continues") == f"{run_name(file)}{SUFFIX}":
+        if read_metadata(other).get(CONTINUES) == f"{run_name(file)}{SUFFIX}":
             yield other
 
 

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording.samples import BOOT_NS, random_rows, write_run
+from evaluation.asked import tell
+from recording.samples import BOOT_NS, WALL_NS, random_rows, same_bits, write_run
 from recording.test_index import ROWS, TRIP_S, sample  # noqa: F401
 
 from fffo_drive.cli import main
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.export import export
-from fffo_drive.recording.reader import read_run
+from fffo_drive.recording.reader import Window, describe, read_run
+from fffo_drive.recording.writer import RunWriter
+from fffo_drive.workflows.replay import replay_files
 
 pyarrow = pytest.importorskip("pyarrow")
 ALL = ROWS.dtype.names
@@ -69,11 +72,59 @@ def test_around_the_first_event_that_says_it(sample, tmp_path, capsys, monkeypat
     assert (seconds[0], seconds[-1]) == pytest.approx((TRIP_S - 0.01, TRIP_S + 0.0095), abs=1e-9)
 
 
+def test_a_part_of_a_recording_is_a_recording(sample, tmp_path):  # noqa: F811
+    done = export([sample], tmp_path / "part.mcap", window=Window(0.1, 0.15))
+    part, whole = read_run(done.path), read_run(sample)
+    assert part.complete
+    assert same_bits(part.rows, whole.rows[200:300])
+    assert np.array_equal(part.log_time_ns, whole.log_time_ns[200:300])
+    assert part.attachments == whole.attachments
+    assert part.metadata == {**whole.metadata, "part_of": f"{sample.name}, from 0.1 s to 0.15 s"}
+    assert [event.text for event in part.events] == ["trip: following error"]
+    assert describe(done.path) == describe(done.path, check=True)
+
+
+def test_parts_of_a_run_of_several_files_keep_its_records(story_files, tmp_path):
+    done = export(story_files, tmp_path / "whole.mcap")
+    rows = np.concatenate([read_run(file).rows for file in story_files])
+    whole = read_run(done.path)
+    assert same_bits(whole.rows, rows)
+    wanted = {record.sequence for file in story_files for record in read_run(file).records}
+    assert {record.sequence for record in whole.records} == wanted
+    assert replay_files([done.path]).exact
+
+
+@pytest.fixture(scope="module")
+def story_files(tmp_path_factory):
+    """A run with everything that can be asked for, in several files."""
+    return tell(tmp_path_factory.mktemp("story"), rotate_bytes=20_000, drain_each=True)
+
+
+def test_rows_of_another_version_become_a_table_and_no_recording(tmp_path):
+    old = Path(__file__).parents[1] / "releases" / "0.1.0" / "run.mcap"
+    assert export([old], tmp_path / "a.csv").rows == 355
+    with pytest.raises(RecordingError, match="only recordings of one run, by this version"):
+        export([old], tmp_path / "a.mcap")
+
+
+def test_files_of_two_runs_do_not_become_one_recording(tmp_path):
+    first = write_run(tmp_path / "0.mcap", random_rows(100))
+    rows = random_rows(100, first_tick=100)
+    rows["deadline_ns"] -= 10**9  # the wall clock was set between the runs
+    other = RunWriter(tmp_path / "1.mcap", {}, (), WALL_NS + 10**9)
+    other.write_rows(rows)
+    with pytest.raises(RecordingError, match="only recordings of one run, by this version"):
+        export([first, other.close()], tmp_path / "a.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0.mcap", "1.mcap"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--out", "a.xlsx"], "a.xlsx: name it for its format: .csv or .parquet"),
+        (["--out", "a.xlsx"], "a.xlsx: name it for its format: .csv or .parquet or .mcap"),
         (["--out", "a.csv", "--columns", "velocity_rp"], "no column 'velocity_rp': did you mean 'velocity_rps'"),
+        (["--out", "a.mcap", "--columns", "trip"], "a.mcap: a recording has all columns"),
+        (["--out", "a.mcap", "--from", "5"], "a.mcap: not written: no row lies from 5 s to inf s"),
         (["--out", "a.csv", "--from", "5"], "a.csv: not written: no row lies from 5 s to inf s"),
         (["--out", "a.csv", "--around", "overheated"], "no event says 'overheated'; there are:"),
         (["--out", "a.csv", "--around", "trip", "--to", "3"], "--around says the window by itself"),
