@@ -16,7 +16,7 @@ from typing import Any
 
 from ..documents import sentence
 from ..recording.export import AROUND_S, around, export
-from ..recording.reader import Window, describe
+from ..recording.reader import TimeWindow, describe
 from ..recording.recover import recover
 from .progress import progress_bar
 
@@ -91,7 +91,7 @@ def _print(entry: dict[str, Any]) -> None:
 
 def _export(options: argparse.Namespace) -> int:
     paths = [Path(file) for file in options.files]
-    window = Window(
+    window = TimeWindow(
         0.0 if options.from_s is None else options.from_s, math.inf if options.to_s is None else options.to_s
     )
     if options.around is not None:

@@ -18,7 +18,7 @@ from ..signals import ROW
 from ..units import NS_PER_S
 from .errors import RecordingError
 from .events import Event
-from .reader import RowBlock, RowBlocks, Run, Window, groups
+from .reader import RowBlock, RowBlocks, Run, TimeWindow, groups
 from .rotation import CONTINUES
 from .writer import RunWriter
 
@@ -55,7 +55,7 @@ def export(
     paths: Sequence[Path],
     out: Path,
     columns: Sequence[str] = (),
-    window: Window | None = None,
+    window: TimeWindow | None = None,
     told: Callable[[float], object] = lambda share: None,
 ) -> Exported:
     """Write the rows of recordings that follow each other; `columns`: those alone, else all. The window's times count
@@ -66,7 +66,7 @@ def export(
     """
     if out.suffix.lower() not in FORMATS:
         raise RecordingError(f"{out}: name it for its format: {' or '.join(FORMATS)}")
-    window = window or Window()
+    window = window or TimeWindow()
     parts = [_part(path) for path in paths]
     begin_ns, names = parts[0].begin_ns, tuple(columns) or parts[0].columns
     for part in parts:
@@ -84,7 +84,7 @@ def export(
     with _recording(out, parts, window) if out.suffix.lower() == RECORDING else _table(out, names, begin_ns) as write:
         for part in parts:
             later_s = (part.begin_ns - begin_ns) / NS_PER_S
-            blocks = RowBlocks(part.run.path, window=Window(window.from_s - later_s, window.to_s - later_s))
+            blocks = RowBlocks(part.run.path, window=TimeWindow(window.from_s - later_s, window.to_s - later_s))
             for block in groups(blocks):  # each a row group of Parquet, with statistics of every column in the footer
                 write(block)
                 rows += len(block.rows)
@@ -95,7 +95,7 @@ def export(
     return Exported(out, rows, names, tuple(incomplete))
 
 
-def around(path: Path, text: str, margin_s: float = AROUND_S) -> tuple[Window, Event]:
+def around(path: Path, text: str, margin_s: float = AROUND_S) -> tuple[TimeWindow, Event]:
     """The window around the first event of a recording that says a text (a fault, a trip's name), and the event.
 
     Raises RecordingError where no event does.
@@ -104,7 +104,7 @@ def around(path: Path, text: str, margin_s: float = AROUND_S) -> tuple[Window, E
     for event in part.run.events:
         if text.casefold() in f"{event.source}: {event.text}".casefold():
             at_s = (event.time_ns - part.begin_ns) / NS_PER_S
-            return Window(at_s - margin_s, at_s + margin_s), event
+            return TimeWindow(at_s - margin_s, at_s + margin_s), event
     said = "\n".join(f"  {event.time} {event.source}: {event.text}" for event in part.run.events)
     raise RecordingError(
         f"{path}: no event says {text!r}" + (f"; there are:\n{said}" if said else ", and there is none")
@@ -151,7 +151,7 @@ def _table(out: Path, names: Sequence[str], begin_ns: int) -> Iterator[Callable[
 
 
 @contextlib.contextmanager
-def _recording(out: Path, parts: Sequence[_Part], window: Window) -> Iterator[Callable[[RowBlock], None]]:
+def _recording(out: Path, parts: Sequence[_Part], window: TimeWindow) -> Iterator[Callable[[RowBlock], None]]:
     """Writes blocks to a new recording, with what stands beside the rows of the first file."""
     runs = [part.run for part in parts]
     offsets_ns = {part.offset_ns for part in parts}

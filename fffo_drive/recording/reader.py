@@ -192,7 +192,7 @@ def groups(blocks: Iterable[RowBlock], least_rows: int = GROUP_ROWS) -> Iterator
         yield _joined(waiting)
 
 
-class Window(NamedTuple):
+class TimeWindow(NamedTuple):
     """A part of a recording: rows from here on and before there, in seconds since its first row."""
 
     from_s: float = 0.0
@@ -210,7 +210,7 @@ class RowBlocks:
     the errors of `read_run`.
     """
 
-    def __init__(self, path: Path | str, topic: str = ROW_TOPIC, window: Window | None = None) -> None:
+    def __init__(self, path: Path | str, topic: str = ROW_TOPIC, window: TimeWindow | None = None) -> None:
         self._path, self._topic, self._window = Path(path), topic, window
         self._rest: Run | None = None
         self.count = 0

@@ -14,7 +14,7 @@ from recording.test_index import ROWS, TRIP_S, sample  # noqa: F401
 from fffo_drive.cli import main
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.export import export
-from fffo_drive.recording.reader import Window, describe, read_run
+from fffo_drive.recording.reader import TimeWindow, describe, read_run
 from fffo_drive.recording.writer import RunWriter
 from fffo_drive.workflows.replay import replay_files
 
@@ -73,7 +73,7 @@ def test_around_the_first_event_that_says_it(sample, tmp_path, capsys, monkeypat
 
 
 def test_a_part_of_a_recording_is_a_recording(sample, tmp_path):  # noqa: F811
-    done = export([sample], tmp_path / "part.mcap", window=Window(0.1, 0.15))
+    done = export([sample], tmp_path / "part.mcap", window=TimeWindow(0.1, 0.15))
     part, whole = read_run(done.path), read_run(sample)
     assert part.complete
     assert same_bits(part.rows, whole.rows[200:300])

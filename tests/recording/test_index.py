@@ -15,7 +15,7 @@ from recording.samples import PERIOD_NS, WALL_NS, random_rows, same_bits
 from fffo_drive.cli import main
 from fffo_drive.recording.errors import RecordingError
 from fffo_drive.recording.events import Event, Level
-from fffo_drive.recording.reader import RowBlocks, Window, describe, read_run
+from fffo_drive.recording.reader import RowBlocks, TimeWindow, describe, read_run
 from fffo_drive.recording.writer import RunWriter
 
 ROWS = random_rows(400, seed=5)
@@ -95,7 +95,7 @@ def test_of_a_torn_file_every_whole_chunk_counts(sample, tmp_path, share):
 def test_a_window_is_those_rows_and_no_others(sample, begin_s, end_s, share):
     path = sample.with_suffix(".part")
     path.write_bytes(sample.read_bytes()[: round(share * sample.stat().st_size)])
-    run, blocks = read_run(path), RowBlocks(path, window=Window(begin_s, end_s))
+    run, blocks = read_run(path), RowBlocks(path, window=TimeWindow(begin_s, end_s))
     seconds = (run.log_time_ns - run.log_time_ns[0]) / 1e9
     wanted = run.rows[(seconds >= begin_s) & (seconds < end_s)]
     found = [block.rows for block in blocks]
