@@ -63,9 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     compact.add_argument("--keep", type=float, metavar="DAYS", help="remove runs that began more than DAYS days ago")
     report = _action(actions, "report", "page and JSON: spread over the drives of each type, history of each drive")
     report.add_argument("--out", required=True, metavar="DIR", help="directory of the page")
-    report.add_argument(
-        "--alarms-per-drive-year", type=float, metavar="R", help="also list changes, as `fleet watch` finds them"
-    )
+    _rate_argument(report)
     report.add_argument("--serial", nargs="+", default=[], metavar="NAME", help="drives whose history is drawn")
     watch = _action(actions, "watch", "find changes in each drive's own history, at the false-alarm rate that you set")
     _rate_argument(watch)
@@ -151,12 +149,13 @@ def _add(options: argparse.Namespace) -> int:
             f"{added.new} runs added, {known} were known"
             + (f", {len(added.problems)} not added" * bool(added.problems))
         )
+    missing = 0
     if options.work:
         named = set(added.runs)
-        _make_records(options, store, [entry for entry in store.waiting() if entry["run"] in named])
+        missing = _make_records(options, store, [entry for entry in store.waiting() if entry["run"] in named])
     elif not options.json:
         print(f"next: fffo-drive fleet work {options.store}")
-    return EXIT_BAD_INPUT if added.problems else 0
+    return EXIT_BAD_INPUT if added.problems or missing else 0
 
 
 def _work(options: argparse.Namespace) -> int:
@@ -169,11 +168,11 @@ def _work(options: argparse.Namespace) -> int:
     entries = store.waiting()
     if options.shard:
         entries = shard_of(entries, *_share(options.shard))
-    _make_records(options, store, entries)
-    return 0
+    return EXIT_BAD_INPUT if _make_records(options, store, entries) else 0
 
 
-def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[dict[str, Any]]) -> None:
+def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[dict[str, Any]]) -> int:
+    """Make them; the number of runs that got none."""
     from ..fleet.work import work
 
     if options.workers is not None and options.workers < 1:
@@ -209,6 +208,7 @@ def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[
             print(f"waits for the next work: {attempt.reason}", file=sys.stderr)
         if failed:
             print(f"all of them: fffo-drive fleet status {options.store}; again: work --retry", file=sys.stderr)
+    return len(failed) + len(unreached)
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -262,6 +262,7 @@ def _report(options: argparse.Namespace) -> int:
     from ..fleet.report import FleetSource, fleet_report, outsider_text, shown_drives
     from ..fleet.spread import SPREAD_COLUMNS, spreads_of
     from ..fleet.store import FleetStore
+    from ..fleet.watch import alarm_text
     from ..report.page import write_report
 
     store = FleetStore(options.store)
@@ -277,10 +278,10 @@ def _report(options: argparse.Namespace) -> int:
         asked = [drive for drive in options.serial if drive in spread.drives]
         named = asked if options.serial else shown_drives(spread)
         drawn[spread.model] = histories(store, spread.model, named) if named else {}
-    rate = options.alarms_per_drive_year
-    moved = {} if rate is None else _watched(store, rate)
+    moved = _watched(store, options.alarms_per_drive_year)
     source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)
-    paths = write_report(fleet_report(source), Path(options.out))
+    page = fleet_report(source)
+    paths = write_report(page, Path(options.out))
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
         return 0
@@ -288,6 +289,10 @@ def _report(options: argparse.Namespace) -> int:
         print(f"{spread.model}: {counted(len(spread.drives), 'drive')}, {counted(int(spread.runs.sum()), 'run')}")
         for one in spread.outsiders[:MOST_SHOWN]:
             print(f"  {one.drive} stands outside: {outsider_text(one)}")
+        alarms = moved[spread.model].alarms if spread.model in moved else ()
+        for alarm in alarms:
+            print(f"  changed: {alarm_text(alarm)}")
+    print(page.verdict.headline)
     print(paths.page)
     return 0
 

@@ -12,6 +12,7 @@ from ..arrays import Floats
 from ..documents import counted
 from ..least_squares import spectrum
 from ..report.document import (
+    MOST_LINES,
     Cell,
     Heading,
     Line,
@@ -28,6 +29,7 @@ from ..report.document import (
 )
 from ..report.figures import Figure, PlotAxis, Series
 from ..units import NORMAL_95
+from .detector import BURN_IN
 from .history import RunHistory
 from .regress import PARAMETERS, SINGULAR
 from .spread import LEAST_DRIVES, OUTSIDE_P, ModelSpread, Outsider, QuantitySpread
@@ -111,33 +113,57 @@ def _drive_object(spread: ModelSpread, k: int) -> dict[str, Any]:
 
 def _verdict(source: FleetSource) -> Verdict:
     status, spreads = source.status, source.spreads
-    drives = sum(len(spread.drives) for spread in spreads)
-    runs = sum(int(spread.runs.sum()) for spread in spreads)
+    outsiders = sorted((one for s in spreads for one in s.outsiders), key=lambda one: -abs(one.distance))
     outside = {(spread.model, one.drive) for spread in spreads for one in spread.outsiders}
     alarms = [alarm for watched in source.moved.values() for alarm in watched.alarms]
+    changed = {(model, alarm.drive) for model, watched in source.moved.items() for alarm in watched.alarms}
+    doubted = {(model, doubt.drive) for model, watched in source.moved.items() for doubt in watched.doubts}
     small = [spread.model for spread in spreads if len(spread.drives) < LEAST_DRIVES]
-    said = f"{counted(drives, 'drive')} of {counted(len(spreads), 'type')} in {counted(runs, 'run')}"
-    headline = f"{said}: {f'{len(outside)} stand' if outside else 'none stands'} outside of the population"
-    lines = [
-        Line(label=one.drive, text=outsider_text(one))
-        for one in sorted((o for s in spreads for o in s.outsiders), key=lambda o: -abs(o.distance))[:3]
-    ]
-    if alarms:
-        headline += f"; {len(alarms)} changes in drives' own histories"
-        lines = [Line(label="moved", text=alarm_text(alarms[0])), *lines]
+    short = [spread.model for spread in spreads if int(spread.runs.max(initial=0)) <= BURN_IN]
+    judged = len(small) < len(spreads) or len(short) < len(spreads)
+    said = f"{counted(sum(len(s.drives) for s in spreads), 'drive')} of {counted(len(spreads), 'type')} in "
+    said += counted(sum(int(s.runs.sum()) for s in spreads), "run")
+    found = [f"{len(outside)} outside"] * bool(outside) + [f"{len(changed)} changed"] * bool(changed)
+    headline = f"{said}: " + (
+        f"{len(outside) or 'none'} outside of the population, {len(changed) or 'none'} changed in its own history"
+        if judged
+        else "too few drives and runs to judge one"
+    )
+    lines = [Line(label="changed", text=alarm_text(alarm)) for alarm in alarms]
+    lines += [Line(label=one.drive, text=outsider_text(one)) for one in outsiders]
+    if len(lines) > MOST_LINES:
+        rest = len(lines) - (MOST_LINES - 1)
+        lines = [*lines[: MOST_LINES - 1], Line(label="and", text=f"{rest} more, in the tables below")]
     cautions = []
     if small:
         cautions.append(f"fewer than {LEAST_DRIVES} drives make no population: {', '.join(small[:5])}")
+    if short:
+        cautions.append(f"no drive has more than {BURN_IN} runs, so no change can be found: {', '.join(short[:5])}")
+    if doubted:
+        drives = counted(len(doubted), "drive")
+        cautions.append(f"the records of {drives} cannot decide whether something changed: `fleet watch` says why")
     if status.waiting or status.failed:
         cautions.append(f"{status.waiting} runs have no record yet, {status.failed} make none")
+    if found:
+        step = f"diagnose the runs of those {' and '.join(word.split()[1] for word in found)}"
+    elif status.waiting:
+        step = "make the missing records (`fleet work`)"
+    elif status.failed:
+        step = "see why runs make no record (`fleet status`)"
+    else:
+        step = "nothing to do" if judged else "add drives and runs"
+    rates = sorted({watched.alarms_per_drive_year for watched in source.moved.values()})
+    reasons = [f"outside: further out than {100 * OUTSIDE_P:g} % of populations have any drive, in one number"]
+    reasons += [f"changed: at most {rate:g} false alarms per drive and year" for rate in rates]
     return Verdict(
         headline=headline,
-        finding=f"{len(outside)} outside" if outside else "none outside",
-        confidence="cannot tell" if len(small) == len(spreads) else "probable" if outside else "certain",
-        next_step="diagnose the runs of those outside" if outside else "nothing to do",
+        finding=" and ".join(found) or ("none outside, none changed" if judged else "no judgement"),
+        # that nothing was found says that nothing large is there, and nothing of runs without a record
+        confidence="probable" if found or (judged and not cautions) else "cannot tell",
+        next_step=step,
         alarm=bool(alarms),
         lines=lines,
-        reasons=[f"outside: further out than {100 * OUTSIDE_P:g} % of populations have any drive, in one number"],
+        reasons=reasons,
         cautions=cautions,
     )
 
@@ -202,9 +228,9 @@ def _moved(moved: Mapping[str, Watched]) -> list[Table]:
         return []
     return [
         Table(
-            name="moved", title="What moved, and since when", corner="drive", rows=rows[:SHOWN_OUTSIDERS],
+            name="moved", title="What moved, and since when", corner="drive", rows=rows,
             columns=[Heading(label="type", words=True), Heading(label="change", words=True)],
-            note=f"{len(rows)} alarms; `fffo-drive fleet watch` sets how many false ones there may be.",
+            note=f"{counted(len(rows), 'alarm')}; `fffo-drive fleet watch` sets how many false ones there may be.",
         )
     ]  # fmt: skip
 
