@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..workflows.progress import LINES_ENVIRONMENT
-from .exits import EXIT_INTERRUPTED, EXIT_WRONG_USAGE, MEANINGS, exit_code_of, message_of
+from .exits import EXIT_INTERRUPTED, EXIT_WRONG_USAGE, MEANINGS, exit_code_of, message_of, printable
 
 # subcommand -> (module, one line for --help)
 COMMANDS = {
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = exit_code_of(error)
             if code is None:
                 raise
-            print(f"fffo-drive {command}: {message_of(error)}", file=sys.stderr)
+            print(f"fffo-drive {command}: {printable(message_of(error))}", file=sys.stderr)
             return code
     near = difflib.get_close_matches(command or "", COMMANDS, 1)
     if near:

@@ -38,7 +38,7 @@ from ..report.cause_words import in_words
 from ..report.diagnose_figures import ROTARY, DiagnosisWords, words_of
 from ..report.diagnose_verdict import doubts, unproven
 from ..workflows.diagnose import MODEL_NAME, diagnose_recordings
-from .exits import EXIT_NOT_CONFIRMED
+from .exits import EXIT_NOT_CONFIRMED, printable
 from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
@@ -82,7 +82,7 @@ def execute(options: argparse.Namespace) -> int:
     def covered(records: list[Record], coverage: Coverage, facts: DriveFacts) -> None:
         for record in records:
             for warning in record.warnings:
-                print(f"warning: {warning}", file=sys.stderr)
+                print(f"warning: {printable(warning)}", file=sys.stderr)
         if not options.json:
             print("\n".join(coverage_lines(coverage, facts.units == "linear")), flush=True)
 
@@ -178,7 +178,7 @@ def _print(found: Diagnosis) -> None:
         print(f"  runs: {remark}")
     for caution in [*doubts(found), *found.cautions]:
         if caution not in remarks:
-            print(f"caution: {caution}", file=sys.stderr)
+            print(f"caution: {printable(caution)}", file=sys.stderr)
 
 
 def curve_words(finding: Finding, words: DiagnosisWords = ROTARY) -> str:

@@ -69,6 +69,14 @@ def exit_code_of(error: Exception) -> int | None:
     return next((code for kind, code in codes if isinstance(error, kind)), None)
 
 
+def printable(text: str) -> str:
+    """Text out of a file as a terminal may show it: control characters as their escapes, lines as they are."""
+    if text.isprintable():
+        return text
+    kept = (sign if sign.isprintable() or sign == "\n" else sign.encode("unicode_escape").decode() for sign in text)
+    return "".join(kept)
+
+
 def message_of(error: Exception) -> str:
     """One message: the error's own text, and for the system's errors the file as well."""
     if isinstance(error, IsADirectoryError):

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from ..documents import DocumentError, counted, did_you_mean, sentence
 from ..extras import needs_extra
 from ..identification.facts import read_facts
-from .exits import EXIT_BAD_INPUT
+from .exits import EXIT_BAD_INPUT, printable
 from .progress import progress_bar
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _add(options: argparse.Namespace) -> int:
     with progress_bar("add", quiet=options.json) as progress:
         added = add_runs(store, places, given, progress)
     for problem in added.problems:
-        print(f"not added: {problem}", file=sys.stderr)
+        print(f"not added: {printable(problem)}", file=sys.stderr)
     if options.json:
         print(json.dumps(added._asdict(), indent=2))
     else:
@@ -203,9 +203,9 @@ def _make_records(options: argparse.Namespace, store: FleetStore, entries: list[
         made = len(entries) - len(failed) - len(unreached)
         print(f"{counted(made, 'record')} made" + (f", {len(failed)} failed" if failed else ""))
         for failure in failed[:MOST_SHOWN]:
-            print(f"failed: {failure.reason}", file=sys.stderr)
+            print(f"failed: {printable(failure.reason)}", file=sys.stderr)
         for attempt in unreached[:MOST_SHOWN]:
-            print(f"waits for the next work: {attempt.reason}", file=sys.stderr)
+            print(f"waits for the next work: {printable(attempt.reason)}", file=sys.stderr)
         if failed:
             print(f"all of them: fffo-drive fleet status {options.store}; again: work --retry", file=sys.stderr)
     return len(failed) + len(unreached)
@@ -235,9 +235,9 @@ def _status(options: argparse.Namespace) -> int:
     if len(drives) > MOST_SHOWN:
         print(f"  and {len(drives) - MOST_SHOWN} drives more (--json has all)")
     for attempt in unreached[:MOST_SHOWN]:
-        print(f"waits for the next work: {attempt.reason}")
+        print(f"waits for the next work: {printable(attempt.reason)}")
     for failure in failures[:MOST_SHOWN]:
-        print(f"failed after {failure.tries} tries: {failure.reason}")
+        print(f"failed after {failure.tries} tries: {printable(failure.reason)}")
     return 0
 
 
@@ -336,7 +336,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     found = diagnose_drives(store, subjects, out, partial(progress_bar, quiet=options.json))
     paths = write_report(fleet_diagnosis_report(found, store.place.address, out), out)
     for problem in found.problems:
-        print(f"not diagnosed: {problem}", file=sys.stderr)
+        print(f"not diagnosed: {printable(problem)}", file=sys.stderr)
     if options.json:
         print(json.dumps(json.loads(paths.json.read_text(encoding="utf-8"))["results"], indent=2))
     else:

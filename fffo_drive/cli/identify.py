@@ -28,6 +28,7 @@ from ..report.page import refuse_other_report, write_report
 from ..units import inertia_kg_m2, text_on
 from ..workflows.identify import identify
 from ..workflows.recorded_facts import facts_for
+from .exits import printable
 from .prior import add_prior_arguments, prior_lines, prior_of
 from .progress import progress_bar
 
@@ -58,7 +59,7 @@ def execute(options: argparse.Namespace) -> int:
     records = [where_command_acts(record) for record in load_records(options.logs, facts)]
     for record in records:
         for warning in record.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
+            print(f"warning: {printable(warning)}", file=sys.stderr)
     prior = prior_of(options, options.logs, facts)
     with progress_bar("identify", options.json) as bar:
         name = options.name or out.resolve().name
@@ -118,7 +119,7 @@ def _print(result: dict[str, Any]) -> None:
     for doubt in result["doubts"]:
         print(f"not determined: {doubt['symbol']}: {doubt['reason']}; what would determine it: {doubt['excitation']}")
     for warning in result["warnings"]:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(f"warning: {printable(warning)}", file=sys.stderr)
 
 
 def effect_line(effect: dict[str, Any]) -> str:

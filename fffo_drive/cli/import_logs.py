@@ -47,6 +47,7 @@ from ..workflows.import_logs import (
     write_import,
 )
 from ..workflows.trace_drive import SCALES, trace_drive
+from .exits import printable
 
 SAY_IT = "say what it is with --unit, --position, --velocity, --command and their like"
 DECLARED = ("torque_constant_nm_per_a", "gear_ratio", "pole_pairs", "slots", "absolute_angle", "load_gravity_nm")
@@ -188,9 +189,9 @@ def _as_assumed(guess: Guess, found: Recognition) -> str:
 
 def _print(found: Recognition, done: Imported, has_constant: bool, out: Path) -> None:
     for problem in done.problems:
-        print(f"not usable for a fit: {problem}", file=sys.stderr)
+        print(f"not usable for a fit: {printable(problem)}", file=sys.stderr)
     for warning in done.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(f"warning: {printable(warning)}", file=sys.stderr)
     if not has_constant and found.torque_unit not in ("Nm", "N"):
         print(
             f"no torque constant given: torque is in units of the input ({found.torque_unit}), and inertia and "

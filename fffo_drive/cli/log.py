@@ -18,6 +18,7 @@ from ..documents import sentence
 from ..recording.export import AROUND_S, around, export
 from ..recording.reader import TimeWindow, describe
 from ..recording.recover import recover
+from .exits import printable
 from .progress import progress_bar
 
 INFO = "show rows, columns with units, metadata and events of a recording, and whether it is complete"
@@ -74,19 +75,19 @@ def _info(options: argparse.Namespace) -> int:
 def _print(entry: dict[str, Any]) -> None:
     state = "complete" if entry["complete"] else f"TORN: {entry['reason']}"
     rate = f", {1.0 / entry['period_s']:.6g} Hz" if entry["period_s"] else ""
-    print(f"{entry['file']}: {entry['rows']} rows, {entry['duration_s']:.3f} s{rate}, {state}")
+    print(printable(f"{entry['file']}: {entry['rows']} rows, {entry['duration_s']:.3f} s{rate}, {state}"))
     for title in ("metadata", "summary"):
         for key, value in entry[title].items():
-            print(f"  {key}: {value}")
+            print(printable(f"  {key}: {value}"))
     for name, attachment in entry["attachments"].items():
-        print(f"  attachment {name}: {attachment['bytes']} bytes")
+        print(printable(f"  attachment {name}: {attachment['bytes']} bytes"))
     for event in entry["events"]:
-        print(f"  event {event}")
+        print(printable(f"  event {event}"))
     for record in entry["records"]:
         number = f" {record['number']}" if record["number"] else ""
-        print(f"  record {record['sequence']}: {record['kind']}{number}")
+        print(printable(f"  record {record['sequence']}: {record['kind']}{number}"))
     columns = ", ".join(name if unit == "-" else f"{name} [{unit}]" for name, unit in entry["columns"].items())
-    print(f"  columns: {columns}")
+    print(printable(f"  columns: {columns}"))
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -98,12 +99,12 @@ def _export(options: argparse.Namespace) -> int:
         if options.from_s is not None or options.to_s is not None:
             raise SystemExit("fffo-drive log export: --around says the window by itself: without --from and --to")
         window, event = around(paths[0], options.around)
-        print(f"around {event.time} {event.source}: {event.text}", file=sys.stderr)
+        print(printable(f"around {event.time} {event.source}: {event.text}"), file=sys.stderr)
     columns = [name.strip() for name in options.columns.split(",") if name.strip()]
     with progress_bar("export", options.json) as bar:
         done = export(paths, Path(options.out), columns, window, bar or (lambda share: None))
     for reason in done.incomplete:
-        print(f"warning: {reason}", file=sys.stderr)
+        print(f"warning: {printable(reason)}", file=sys.stderr)
     if options.json:
         print(json.dumps({**done._asdict(), "path": str(done.path)}, indent=2))
     else:

@@ -87,8 +87,8 @@ def typed(folder: Path, fit: Sequence[str], held_out: Sequence[str], out: Path) 
 
 def opening_of(page: str) -> str:
     """Headline and lines of a report's page, without its tags."""
-    section = page.split('<section class="verdict"', 1)[1].split("</section>", 1)[0]
-    return " ".join(html.unescape(re.sub("<[^>]*>", " ", section.split(">", 1)[1])).split())
+    section = re.split('<section class="verdict[^>]*>', page, maxsplit=1)[1].split("</section>", 1)[0]
+    return " ".join(html.unescape(re.sub("<[^>]*>", " ", section)).split())
 
 
 def _axis_numbers(model: ModelFile | None) -> dict[str, list[float | None]]:
