@@ -138,16 +138,19 @@ def _add(options: argparse.Namespace) -> int:
     store = FleetStore(options.store, create=True)
     given = Given(options.serial, options.model, facts)
     with progress_bar("add", quiet=options.json) as progress:
-        added = add_runs(store, places, given, progress)
+        added = add_runs(store, places, given, progress, options.runs)
     for problem in added.problems:
         print(f"not added: {printable(problem)}", file=sys.stderr)
+    for skipped in added.skipped:
+        print(f"no run: {printable(skipped)}", file=sys.stderr)
     if options.json:
         print(json.dumps(added._asdict(), indent=2))
     else:
-        known = added.found - added.new - len(added.problems)
+        known = added.found - added.new - len(added.problems) - len(added.skipped)
         print(
             f"{added.new} runs added, {known} were known"
             + (f", {len(added.problems)} not added" * bool(added.problems))
+            + (f", {len(added.skipped)} are no run" * bool(added.skipped))
         )
     missing = 0
     if options.work:

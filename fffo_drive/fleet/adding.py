@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..documents import DocumentError, check, parse
 from ..identification.facts import DriveFacts
 from ..importing.convert import FACTS_NAME
-from ..importing.read import RECORDINGS, SUFFIXES
+from ..importing.read import RECORDINGS, SUFFIXES, read_source
 from ..recording.errors import RecordingError
 from ..recording.reader import RunHead, read_head
 from ..recording.writer import PART_SUFFIX
@@ -21,6 +21,10 @@ from .store import FleetStore
 FINISHED = RECORDINGS[0]  # what --from takes: others are being written, or torn
 FIRST_TRUE_CLOCK = datetime(2000, 1, 1, tzinfo=UTC)  # a log with an earlier time counts from its own zero
 NO_NUMBER = ("", "0x00000000")
+
+
+class NoLogError(RecordingError):
+    """A file that holds no columns of numbers."""
 
 
 class Given(NamedTuple):
@@ -38,6 +42,7 @@ class Added(NamedTuple):
     new: int
     runs: tuple[str, ...]  # content hashes of all that were named, known ones too
     problems: tuple[str, ...]  # one sentence a run that could not be added
+    skipped: tuple[str, ...] = ()  # one sentence a file beside the runs that is no log
 
 
 def runs_below(place: str, tables: bool) -> list[str]:
@@ -60,9 +65,12 @@ def runs_below(place: str, tables: bool) -> list[str]:
 
 
 def add_runs(
-    store: FleetStore, places: Sequence[str], given: Given, progress: Callable[[float], None] | None = None
-) -> Added:
+    store: FleetStore, places: Sequence[str], given: Given, progress: Callable[[float], None] | None = None,
+    named: Container[str] | None = None,
+) -> Added:  # fmt: skip
     """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read.
+
+    `named`: those that somebody named, None for all; a file beside them that is no log is skipped, and no problem.
 
     A recording that ended badly (`NAME.mcap.part`) and the finished file made of it (`NAME.mcap`) are one run: the
     finished one is taken, and what the index has of the other is dropped.
@@ -72,6 +80,7 @@ def add_runs(
     entries: list[dict[str, Any]] = []
     runs: list[str] = []
     problems: list[str] = []
+    skipped: list[str] = []
     for number, place in enumerate(places):
         try:
             if _is_finished_beside(place):
@@ -82,6 +91,8 @@ def add_runs(
                 continue
             entries.append(_entry(path, given, changed) | {"bytes": size, "stamp": stamp})
             runs.append(entries[-1]["run"])
+        except NoLogError as error:
+            (problems if named is None or place in named else skipped).append(str(error))
         except (RecordingError, DocumentError) as error:
             problems.append(str(error))
         except OSError as error:
@@ -94,7 +105,7 @@ def add_runs(
     torn = [parts[f"{entry['path']}{PART_SUFFIX}"] for entry in entries if f"{entry['path']}{PART_SUFFIX}" in parts]
     if torn:
         store.drop(torn)
-    return Added(len(places), fresh, tuple(runs), tuple(problems))
+    return Added(len(places), fresh, tuple(runs), tuple(problems), tuple(skipped))
 
 
 def entry_of(place: str, given: Given) -> dict[str, Any]:
@@ -130,6 +141,10 @@ def _entry(path: str, given: Given, changed: datetime) -> dict[str, Any]:
         else:
             if given.facts is None:
                 raise DocumentError(f"{path}: a table carries no facts about its drive: give them with --drive FILE")
+            try:
+                read_source(copy, rows=False)
+            except RecordingError as error:
+                raise NoLogError(str(error).replace(str(copy), path)) from error
             drive, model, start = _of_facts(path, given.facts, given), given.model or given.facts.name, changed
         return {
             "run": digest_of(copy), "drive": drive, "model": model or drive, "path": path, "start": start,

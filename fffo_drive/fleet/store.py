@@ -236,9 +236,9 @@ class FleetStore:
         text = json.dumps(attempt._asdict(), indent=2) + "\n"
         self.place.write(f"{TRIES}/{attempt.run}-{attempt.number}.json", text.encode())
 
-    def end_attempt(self, attempt: Attempt, reason: str | None) -> None:
-        """A try has ended: well, and nothing is left of it, or badly, with a reason."""
-        if reason is not None and attempt.number >= MOST_TRIES:
+    def end_attempt(self, attempt: Attempt, reason: str | None, for_good: bool = False) -> None:
+        """A try has ended: well, and nothing is left of it, or badly, with a reason, `for_good` if any other would."""
+        if reason is not None and (for_good or attempt.number >= MOST_TRIES):
             self._fail(Failure(attempt.run, attempt.path, attempt.number, reason))
         elif reason is not None:
             self._note(attempt._replace(reason=reason))

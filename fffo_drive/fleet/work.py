@@ -56,9 +56,10 @@ def make_record(address: str, entry: Entry) -> None:
                 store.note_unreached(run, entry["path"], str(error))
             return
         except Exception as error:  # whatever is in the file: it stops nobody else
-            reason = str(error) if isinstance(error, DataError) else f"{type(error).__name__}: {error}"
+            of_file = isinstance(error, DataError)
+            reason = str(error) if of_file else f"{type(error).__name__}: {error}"
             with _storing():
-                store.end_attempt(attempt, reason)
+                store.end_attempt(attempt, reason, for_good=of_file)
             continue
         except BaseException:
             store.give_back(attempt)

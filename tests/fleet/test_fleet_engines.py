@@ -194,14 +194,16 @@ def test_poisoned_files_end_with_their_reason_and_stop_nobody(six_runs, merged_b
     noise.write_bytes(bytes(range(256)) * 40)
     gone = write_run(tmp_path / "gone.csv", 50)
     changed = write_run(tmp_path / "changed.csv", 51)
-    poisoned = [still, noise, gone, changed]
+    poisoned = [still, gone, changed]
     store = filled_store(tmp_path / "store", [*poisoned, *six_runs])
+    (problem,) = add_runs(store, [str(noise)], Given("d1", "m1", FACTS)).problems  # it is no table at all
+    assert str(noise) in problem
     gone.unlink()
     write_run(changed, 52)
     work(store.place.address, store.waiting(), workers=2)
     reasons = {failure.path: failure.reason for failure in store.failures()}
     assert set(reasons) == {str(path) for path in poisoned}
-    assert all(failure.tries == MOST_TRIES for failure in store.failures())
+    assert all(failure.tries == 1 for failure in store.failures())  # another try would end as this one
     assert "No such file" in reasons[str(gone)]
     assert "has changed since it was added" in reasons[str(changed)]
     assert store.waiting() == []
@@ -327,6 +329,9 @@ def test_runs_and_store_may_be_in_a_bucket(bucket, six_runs, merged_bytes, tmp_p
     assert (added.new, added.problems) == (3, ())
     assert add_runs(store, places, Given("d1", "m1", FACTS)).new == 0
     runs.write("monday/bad.csv", b"no table")
+    (problem,) = add_runs(store, [f"{bucket}/runs/monday/bad.csv"], Given("d1", "m1", FACTS)).problems
+    assert f"{bucket}/runs/monday/bad.csv" in problem
+    runs.write("monday/bad.csv", b"time_s,position_rev,current_command_a\n0,0,0\n0.002,0,0\n0.004,0,0\n")
     add_runs(store, [f"{bucket}/runs/monday/bad.csv"], Given("d1", "m1", FACTS))
     work(store.place.address, store.waiting(), workers=2)
     status = store.status()
