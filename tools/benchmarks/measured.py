@@ -207,7 +207,7 @@ def _row(report: Report, case: Case, said: dict[str, Any]) -> list[str]:
 
 def leads_to_cause(case: Case, answer: dict[str, Any]) -> bool:
     """Whether the opening of the page says what the machine has."""
-    return re.search(CAUSES[case.inside], answer["page"]) is not None
+    return re.search(CAUSES[case.inside], answer["page"], re.IGNORECASE) is not None
 
 
 def _targets(report: Report, case: Case, answer: dict[str, Any], ours_nm: float, book: dict[str, float]) -> None:
