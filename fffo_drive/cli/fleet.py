@@ -295,7 +295,11 @@ def _report(options: argparse.Namespace) -> int:
         alarms = moved[spread.model].alarms if spread.model in moved else ()
         for alarm in alarms:
             print(f"  changed: {alarm_text(alarm)}")
-    print(page.verdict.headline)
+    verdict = page.verdict
+    print(verdict.headline)
+    for caution in verdict.cautions:
+        print(f"caution: {caution}", file=sys.stderr)
+    print(f"{verdict.confidence}; next: {verdict.next_step}")
     print(paths.page)
     return 0
 

@@ -34,7 +34,7 @@ from .history import RunHistory
 from .regress import PARAMETERS, SINGULAR
 from .spread import LEAST_DRIVES, OUTSIDE_P, ModelSpread, Outsider, QuantitySpread
 from .store import StoreStatus
-from .watch import Watched, alarm_text
+from .watch import Watched, alarm_text, unwatched_text
 from .words import day_of, short_of, word_of
 
 KIND = "fleet"
@@ -139,6 +139,8 @@ def _verdict(source: FleetSource) -> Verdict:
         cautions.append(f"fewer than {LEAST_DRIVES} drives make no population: {', '.join(small[:5])}")
     if short:
         cautions.append(f"no drive has more than {BURN_IN} runs, so no change can be found: {', '.join(short[:5])}")
+    blind = {model: text for model, watched in source.moved.items() if (text := unwatched_text(watched))}
+    cautions += [f"{text}: {', '.join(m for m in blind if blind[m] == text)}" for text in dict.fromkeys(blind.values())]
     if doubted:
         drives = counted(len(doubted), "drive")
         cautions.append(f"the records of {drives} cannot decide whether something changed: `fleet watch` says why")

@@ -17,7 +17,7 @@ from ..documents import counted
 from ..identification.threads import in_threads
 from ..units import NORMAL_95
 from .change import ChangeFit, fit_change
-from .channels import COLUMNS, MEAN_DEGC, STEP_K, Channels, FleetPrior, Stack, channels_of, stacked
+from .channels import COLUMNS, MEAN_DEGC, STEP_K, WITHOUT_TEMPERATURE, Channels, FleetPrior, Stack, channels_of, stacked
 from .detector import BURN_IN, YEAR_S, ChannelPrior, Detections, detect
 from .history import RunHistory, model_records
 from .learning import evenly, learned
@@ -317,6 +317,15 @@ def alarm_text(alarm: Alarm) -> str:
     return f"{text}. Look at runs {', '.join(run[:12] for run in alarm.look_at)}"
 
 
+def unwatched_text(found: Watched) -> str:
+    """What the watch cannot see for want of a temperature; empty where there is one."""
+    unseen = [law for law in WITHOUT_TEMPERATURE if law not in found.laws]
+    if not unseen or not found.laws:
+        return ""
+    late = "a change of Coulomb friction is found late or not at all"
+    return f"no temperature is logged: {unseen[0]} is not watched, {late}"
+
+
 def watch_lines(found: Watched) -> list[str]:
     """What `fleet watch` prints."""
     lines = [alarm_text(alarm) for alarm in found.alarms]
@@ -329,4 +338,5 @@ def watch_lines(found: Watched) -> list[str]:
         "false at most"
     )
     lines.append(f"watched: {', '.join(found.laws)}")
-    return lines
+    unwatched = unwatched_text(found)
+    return [*lines, unwatched] if unwatched else lines

@@ -34,10 +34,8 @@ def alarm(drive):
                  1.77e9, ("a" * 64, "b" * 64), "c" * 64, 1.78e9, ("a" * 64, "b" * 64))  # fmt: skip
 
 
-def page(own, alarms=(), doubts=(), status=None):
-    watched = Watched(
-        tuple(alarms), tuple(doubts), len(own.drives), int(own.runs.sum()), 1.0, RATE, ("Coulomb friction",)
-    )
+def page(own, alarms=(), doubts=(), status=None, laws=("viscous friction", "Coulomb friction")):
+    watched = Watched(tuple(alarms), tuple(doubts), len(own.drives), int(own.runs.sum()), 1.0, RATE, laws)
     done = status or StoreStatus(*([0] * len(StoreStatus._fields)))
     return fleet_report(FleetSource("store", done, [own], {}, {"M1": watched}))
 
@@ -120,3 +118,10 @@ def test_records_that_cannot_decide_are_counted():
     report = page(spread(*ENOUGH), doubts=[Undecided("SN2", "warmer than ever")])
     assert said(report)[1] == "cannot tell"
     assert "the records of 1 drive cannot decide" in report.verdict.cautions[0]
+
+
+def test_without_a_temperature_no_change_is_no_proof_that_there_is_none():
+    report = page(spread(*ENOUGH), laws=("Coulomb friction",))
+    assert said(report) == ("none outside, none changed", "cannot tell", "nothing to do")
+    (caution,) = report.verdict.cautions
+    assert caution.startswith("no temperature is logged: viscous friction is not watched, a change of Coulomb friction")
