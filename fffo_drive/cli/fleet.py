@@ -52,6 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.add_argument("--drive", metavar="FILE", help="declared facts about the drive of tables (YAML)")
     add.add_argument("--serial", metavar="NAME", help="serial number of the drive, instead of the one in the runs")
     add.add_argument("--model", metavar="NAME", help="type of the drive, instead of the one in the runs")
+    add.add_argument(
+        "--time-from", choices=["name"], help="take the date of a run from its file's name, such as 2026-01-31_10h28m10"
+    )
+    add.add_argument(
+        "--manifest",
+        metavar="FILE",
+        help="runs, a line each (CSV): path, and any of serial, model, time (ISO 8601)",
+    )
     add.add_argument("--work", action="store_true", help="also make their records now")
     _engine_arguments(add)
     work = _action(actions, "work", "make the record of every run that has none")
@@ -131,16 +139,20 @@ def execute(options: argparse.Namespace) -> int:
 
 def _add(options: argparse.Namespace) -> int:
     from ..fleet.adding import Given, add_runs, all_places
+    from ..fleet.dating import read_manifest
     from ..fleet.store import FleetStore
 
     facts = read_facts(options.drive) if options.drive else None
-    places = all_places(options.runs, options.source, facts is not None)
+    manifest = read_manifest(Path(options.manifest)) if options.manifest else {}
+    places = all_places([*options.runs, *manifest], options.source, facts is not None)
     store = FleetStore(options.store, create=True)
-    given = Given(options.serial, options.model, facts)
+    given = Given(options.serial, options.model, facts, time_from_name=options.time_from == "name")
     with progress_bar("add", quiet=options.json) as progress:
-        added = add_runs(store, places, given, progress, options.runs)
+        added = add_runs(store, places, given, progress, {*options.runs, *manifest}, manifest)
     for problem in added.problems:
         print(f"not added: {printable(problem)}", file=sys.stderr)
+    for caution in added.cautions:
+        print(f"caution: {caution}", file=sys.stderr)
     for skipped in added.skipped:
         print(f"no run: {printable(skipped)}", file=sys.stderr)
     if options.json:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..documents import DocumentError, check, parse
 from ..identification.facts import DriveFacts
+from ..importing.candidates import TIME_S
 from ..importing.convert import FACTS_NAME
+from ..importing.log import read_log
 from ..importing.read import RECORDINGS, SUFFIXES, read_source
 from ..recording.errors import RecordingError
 from ..recording.reader import RunHead, read_head
 from ..recording.writer import PART_SUFFIX
+from .dating import ManifestLine, clock_time, crowds, time_in_name
 from .place import digest_of, is_url, local_copy, open_filesystem
 from .store import FleetStore
 
 FINISHED = RECORDINGS[0]  # what --from takes: others are being written, or torn
-FIRST_TRUE_CLOCK = datetime(2000, 1, 1, tzinfo=UTC)  # a log with an earlier time counts from its own zero
 NO_NUMBER = ("", "0x00000000")
 
 
@@ -33,6 +35,8 @@ class Given(NamedTuple):
     drive: str | None = None
     model: str | None = None
     facts: DriveFacts | None = None
+    start: datetime | None = None
+    time_from_name: bool = False
 
 
 class Added(NamedTuple):
@@ -43,6 +47,7 @@ class Added(NamedTuple):
     runs: tuple[str, ...]  # content hashes of all that were named, known ones too
     problems: tuple[str, ...]  # one sentence a run that could not be added
     skipped: tuple[str, ...] = ()  # one sentence a file beside the runs that is no log
+    cautions: tuple[str, ...] = ()  # one sentence a drive whose runs have the dates of a copy
 
 
 def runs_below(place: str, tables: bool) -> list[str]:
@@ -66,11 +71,12 @@ def runs_below(place: str, tables: bool) -> list[str]:
 
 def add_runs(
     store: FleetStore, places: Sequence[str], given: Given, progress: Callable[[float], None] | None = None,
-    named: Container[str] | None = None,
+    named: Container[str] | None = None, manifest: Mapping[str, ManifestLine] | None = None,
 ) -> Added:  # fmt: skip
     """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read.
 
-    `named`: those that somebody named, None for all; a file beside them that is no log is skipped, and no problem.
+    `manifest`: what is said of single runs, by their places. `named`: those that somebody named, None for all; a file
+    beside them that is no log is skipped, and no problem.
 
     A recording that ended badly (`NAME.mcap.part`) and the finished file made of it (`NAME.mcap`) are one run: the
     finished one is taken, and what the index has of the other is dropped.
@@ -81,6 +87,7 @@ def add_runs(
     runs: list[str] = []
     problems: list[str] = []
     skipped: list[str] = []
+    dated_by_file: list[tuple[str, datetime]] = []
     for number, place in enumerate(places):
         try:
             if _is_finished_beside(place):
@@ -89,7 +96,10 @@ def add_runs(
             if (path, stamp) in known:
                 runs.append(known[path, stamp])
                 continue
-            entries.append(_entry(path, given, changed) | {"bytes": size, "stamp": stamp})
+            own = given if manifest is None or place not in manifest else _with(given, manifest[place])
+            entries.append(_entry(path, own, changed) | {"bytes": size, "stamp": stamp})
+            if entries[-1]["start"] == changed:
+                dated_by_file.append((entries[-1]["drive"], changed))
             runs.append(entries[-1]["run"])
         except NoLogError as error:
             (problems if named is None or place in named else skipped).append(str(error))
@@ -105,7 +115,13 @@ def add_runs(
     torn = [parts[f"{entry['path']}{PART_SUFFIX}"] for entry in entries if f"{entry['path']}{PART_SUFFIX}" in parts]
     if torn:
         store.drop(torn)
-    return Added(len(places), fresh, tuple(runs), tuple(problems), tuple(skipped))
+    return Added(len(places), fresh, tuple(runs), tuple(problems), tuple(skipped), tuple(crowds(dated_by_file)))
+
+
+def _with(given: Given, said: ManifestLine) -> Given:
+    return given._replace(
+        drive=said.serial or given.drive, model=said.model or given.model, start=said.start or given.start
+    )
 
 
 def entry_of(place: str, given: Given) -> dict[str, Any]:
@@ -145,11 +161,21 @@ def _entry(path: str, given: Given, changed: datetime) -> dict[str, Any]:
                 read_source(copy, rows=False)
             except RecordingError as error:
                 raise NoLogError(str(error).replace(str(copy), path)) from error
-            drive, model, start = _of_facts(path, given.facts, given), given.model or given.facts.name, changed
+            drive, model = _of_facts(path, given.facts, given), given.model or given.facts.name
+            start = _clock_of(copy, given.facts) or changed
+        start = given.start or (time_in_name(path) if given.time_from_name else start)
         return {
             "run": digest_of(copy), "drive": drive, "model": model or drive, "path": path, "start": start,
             "facts": facts,
         }  # fmt: skip
+
+
+def _clock_of(table: Path, facts: DriveFacts) -> datetime | None:
+    """The start of a table whose clock is one of a calendar; one that cannot be read is told by who reads all of it."""
+    try:
+        return clock_time(float(read_log(table, facts.hints()).columns[TIME_S][0]))
+    except RecordingError:
+        return None
 
 
 def _said(path: str, head: RunHead, given: Given, changed: datetime) -> tuple[str, str, datetime]:
@@ -157,8 +183,7 @@ def _said(path: str, head: RunHead, given: Given, changed: datetime) -> tuple[st
     metadata = head.metadata
     start = changed
     if head.start_ns is not None:
-        stamp = datetime.fromtimestamp(head.start_ns // 1_000 / 1e6, UTC)
-        start = stamp if stamp >= FIRST_TRUE_CLOCK else changed
+        start = clock_time(head.start_ns // 1_000 / 1e6) or changed
     attached = head.attachments.get(FACTS_NAME)
     if attached is not None and "axis" not in metadata:
         name = f"{path}, {FACTS_NAME}"
