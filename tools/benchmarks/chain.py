@@ -194,6 +194,7 @@ def run_job(job: Job) -> Outcome:
             differing = differing_files(chain, axis) if job.compared else None
             loaded = with_range(case, chain)
         measured_s, fitted_s = chain.delays_s()
+        refused, ran = (text.replace(f"{place}/", "") for text in (refused, ran))
     elastic = next((effect.parameters for effect in axis.plant.effects if effect.name == ELASTICITY), None)
     return Outcome(
         axis.number, axis.law, axis.effects, "" if elastic is None else elastic_text(elastic), passive, refused, warned,
@@ -428,10 +429,11 @@ def compared_text(found: Sequence[Outcome]) -> str:
     """What the comparison of both ways to type the chain found."""
     known = [one for one in found if one.differing is not None]
     differing = [f"{one.number} ({one.differing})" for one in known if one.differing]
-    return (
+    text = (
         f"On axes {', '.join(str(one.number) for one in known)} the same chain in one process, by the functions of the "
-        f"commands, wrote the same rows and files, dates aside: all but {', '.join(differing) or 'none'}."
     )
+    text += "commands, wrote the same rows and files, dates aside"
+    return f"{text}, but for {', '.join(differing)}." if differing else f"{text}."
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
