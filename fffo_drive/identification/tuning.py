@@ -50,6 +50,7 @@ GAIN_MARGIN = 2.5
 SHORTEST_DELAY_S = 1e-4
 BANDWIDTHS = 41
 SLOWEST_SHARE = 0.01  # of the fastest crossover: a slower loop is useless
+RETREAT, MOST_RETREATS = 0.99, 20  # of the integral action, where the digits of a file would cost a margin
 HALVINGS = 14  # of the range of a gain: to a ten-thousandth of the most
 STEP_POINTS = 4000
 
@@ -294,6 +295,27 @@ def _written(notch: Notch) -> Notch:
     return Notch(*(float(f"{value:.3g}") for value in notch))
 
 
+def as_written(value: float) -> float:
+    """A gain as a file has it: four digits, rounded down."""
+    exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
+    return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
+
+
+def _held_as_written(axis: LinearAxis, gains: tuple[float, float, float], wish: Wish) -> tuple[float, float, float]:
+    """Gains whose margins hold with the digits of a file as well; those that hold in no case as they are.
+
+    Margins fall with each gain, but for a phase that dips to -180 degrees where the loop's gain is above 1: there a
+    digit of Kp less makes the margin that of the dip.
+    """
+    loops, trial = open_loops(axis), gains
+    for _ in range(MOST_RETREATS):
+        proportional, integral, observer = (as_written(one) for one in trial)
+        if _holds(loops, proportional, integral, observer, wish):
+            return trial
+        trial = trial[0], RETREAT * trial[1], RETREAT * trial[2]
+    return gains
+
+
 def _holds(loops: Sequence[OpenLoop], proportional: float, integral: float, observer: float, wish: Wish) -> bool:
     return all(wish.is_met(loop.margins(proportional, integral, observer)) for loop in loops)
 
@@ -399,7 +421,7 @@ def design(
     `axis.damping_nm_per_rps` is the smallest one, sigma: the worst case of the margins.
     """
     wish = wish or Wish()
-    proportional, integral, observer = gains_in_motion(axis, wish)
+    proportional, integral, observer = _held_as_written(axis, gains_in_motion(axis, wish), wish)
     gains = Gains(proportional, integral, observer)
     if stuck:
         gains = gains._replace(rest_share=rest_share(stuck, proportional, integral))

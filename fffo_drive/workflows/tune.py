@@ -36,6 +36,7 @@ from ..identification.tuning import (
     Design,
     Gains,
     Wish,
+    as_written,
     design,
     gains_in_motion,
     notches_for,
@@ -304,16 +305,16 @@ def controller_section(
     Every part is said, also where it is the default: what a file says, no later default changes.
     """
     gains: dict[str, Any] = {
-        "proportional_a_per_rps": _rounded(found.gains.proportional_a_per_rps),
-        "integral_a_per_rev": _rounded(found.gains.integral_a_per_rev),
+        "proportional_a_per_rps": as_written(found.gains.proportional_a_per_rps),
+        "integral_a_per_rev": as_written(found.gains.integral_a_per_rev),
         "current_limit_a": current_limit_a,
         "error_filter_s": axis.error_filter_s,
         "velocity": velocity.model_dump(),
         "notches": [notch._asdict() for notch in axis.notches],
-        "observer": {"toggle": "ff", "gain_nm_per_rev": _rounded(found.gains.observer_nm_per_rev)},
+        "observer": {"toggle": "ff", "gain_nm_per_rev": as_written(found.gains.observer_nm_per_rev)},
         "at_rest": {
-            "gain_share": _rounded(found.gains.rest_share),
-            "hold_a_per_rev_s": _rounded(found.gains.hold_a_per_rev_s),
+            "gain_share": as_written(found.gains.rest_share),
+            "hold_a_per_rev_s": as_written(found.gains.hold_a_per_rev_s),
         },
     }
     if axis.inertia_range_nm_s2_per_rev is not None:
@@ -377,12 +378,6 @@ def summarise(found: Design, axis: LinearAxis) -> dict[str, Any]:
         "step": {"period_s": STEP_S / 400, "velocity_rps": step[:: step.size // 400].tolist()},
         "warnings": list(found.warnings),
     }
-
-
-def _rounded(value: float) -> float:
-    """Four digits, rounded down: margins fall with each gain."""
-    exponent = math.floor(math.log10(value)) - 3 if value > 0.0 else 0
-    return float(f"{math.floor(value / 10.0**exponent * (1.0 + 1e-12)) * 10.0**exponent:.4g}")
 
 
 def refuse_unstable(found: Design, axis: LinearAxis, wish: Wish, model: ModelFile) -> None:

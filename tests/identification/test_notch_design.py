@@ -25,6 +25,7 @@ from fffo_drive.control.stability import ElasticLoad, linear_axis, loop_margins,
 from fffo_drive.documents import DocumentError, check
 from fffo_drive.drive.simulated.parameters import EffectConfig
 from fffo_drive.evaluation.campaign import Candidate
+from fffo_drive.identification import tuning
 from fffo_drive.identification.tuning import NOTCH_GAIN, Wish, gains_in_motion, notches_for, resonances_hz
 from fffo_drive.model.parameters import effect_model, read_model, write_model
 from fffo_drive.workflows.tune import tune
@@ -52,6 +53,18 @@ def action(axis):
     proportional, integral, observer = gains_in_motion(axis, WISH)
     held = WISH.is_met(loop_margins(axis, proportional, integral, observer))
     return integral * axis.torque_constant_nm_per_a + observer if held else 0.0
+
+
+@pytest.mark.parametrize("frequency_hz", RESONANCES_HZ)
+def test_the_margins_hold_with_the_digits_of_a_file(frequency_hz, monkeypatch):
+    """Here a file of two digits: Kp may lose a tenth and Ki nothing."""
+    monkeypatch.setattr(tuning, "as_written", lambda value: 0.1 * math.floor(10.0 * value) if value > 0.1 else value)
+    axis = elastic_axis(frequency_hz)
+    axis = axis._replace(notches=notches_for(axis, WISH))
+    gains = tuning.design(axis, 2.0, WISH).gains
+    written = [tuning.as_written(gain) for gain in gains.in_motion]
+    assert written[0] > 0.0
+    assert WISH.is_met(loop_margins(axis, *written))
 
 
 def test_an_axis_without_a_resonance_gets_no_notch():
