@@ -148,19 +148,22 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
             )
     margins = law_margins(axis, model, observer_on)
     loop = loop_axis(axis, model)
-    notch = f". With {resonance_text(loop)}: `fffo-drive tune` chooses a notch" if loop.elastic != RIGID else ""
+    tune = f"`fffo-drive tune {axis.model} --axis AXIS --out DIR`"  # for the model as it is, be it assumed
+    remedy = f", or let {tune} choose"
+    if loop.elastic != RIGID:
+        remedy = f". With {resonance_text(loop)}: {tune} chooses a notch"
     ends = loop.inertia_range_nm_s2_per_rev
     loads = "" if ends is None else f", at the worst inertia from {model.inertia_text(*ends)},"
     if margins.phase_deg < section.phase_margin_deg:
         problems.append(
             f"controller: phase margin {margins.phase_deg:.1f} deg with {_delay_ms(axis, model):g} ms delay{loads} is "
             f"below phase_margin_deg {section.phase_margin_deg:g}: lower observer.gain_nm_per_rev, "
-            f"integral_a_per_rev or proportional_a_per_rps{notch}"
+            f"integral_a_per_rev or proportional_a_per_rps{remedy}"
         )
     if margins.gain < section.gain_margin:
         problems.append(
             f"controller: gain margin {margins.gain:.2f}{loads} is below gain_margin {section.gain_margin:g}: lower "
-            f"proportional_a_per_rps{notch}"
+            f"proportional_a_per_rps{remedy}"
         )
     problems += fallback_problems(axis, model, observer_on)
     at_rest = rest_margins(axis, model)
@@ -168,8 +171,8 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
         problems.append(
             f"controller.at_rest.gain_share: {section.at_rest.gain_share:g} leaves a phase margin of "
             f"{at_rest.phase_deg:.1f} deg and a gain margin of {at_rest.gain:.2f} at rest, where the friction contact "
-            "acts as a spring: the axis would oscillate. Lower it, or at_rest.hold_a_per_rev_s; `fffo-drive tune` "
-            "finds both"
+            "acts as a spring: the axis would oscillate. Lower it, or at_rest.hold_a_per_rev_s, or let "
+            f"{tune} choose"
         )
     return problems
 

@@ -199,7 +199,7 @@ def test_what_tune_writes_is_read_back_says_the_notch_and_has_its_margins(tmp_pa
     assert WISH.is_met(law_margins(written, model, True))
     plain = written.model_copy(update={"controller": written.controller.changed({"notches": []})})
     problems = law_problems(plain, model, True)
-    assert any("gain margin" in text and "`fffo-drive tune` chooses a notch" in text for text in problems)
+    assert any("gain margin" in text and " --axis AXIS --out DIR` chooses a notch" in text for text in problems)
     page = json.loads((out / "report.json").read_text())
     assert page["results"]["integral_action_by_notches"] > NOTCH_GAIN
 

@@ -50,6 +50,8 @@ EXAMPLE = CONFIGS / "axis_simulated.yaml"
 ASSUMED_MODEL = CONFIGS / "models" / "table1.yaml"
 AXIS, DRIVE, MODEL, KNOWN = "axis.yaml", "simulated_drive.yaml", "assumed.yaml", "known.yaml"
 IDENTIFIED, DIAGNOSED, TUNED, RANGED = "model", "diagnosed", "tuned", "ranged"  # directories
+FIRST = "first"  # directory of gains for the assumed model, where those of the first axis file are refused ...
+TUNE_FIRST = "--axis AXIS --out DIR` choose"  # ... with this advice
 PROFILES = {  # what is recorded, with the torque constant of the nominal axis
     "chirp": {"kind": "identify", "duration_s": 40, "low_a": 0.3, "high_a": 1.1, "lowest_hz": 0.01, "highest_hz": 10},
     "sweep": {"kind": "frf", "duration_s": 30, "amplitude_a": 0.8, "lowest_hz": 0.1, "highest_hz": 50},
@@ -67,6 +69,7 @@ class Chain:
     def __init__(self, place: Path) -> None:
         self.place = place
         self.axis = place / AXIS
+        self.excited = self.axis  # the axis file with which the runs for the model are made
         self.logs: list[Path] = []  # that the model is from
         self.warnings: list[str] = []  # what the user was told before anything ran with the tuned gains
 
@@ -120,17 +123,28 @@ class Chain:
             sized = {key: LOWER**step * scale * v if key in AMPLITUDES else v for key, v in PROFILES[name].items()}
             _write(self.place / f"{name}.yaml", {"profile": sized})
             try:
-                return self.run(name)
+                return self._run_as_advised(name)
             except (DocumentError, ValueError) as error:
                 refusal = error
         assert refusal is not None
         raise refusal
 
+    def _run_as_advised(self, name: str) -> Path:
+        """`run`, and where it refuses the gains of the first axis file `tune` for the assumed model before it."""
+        try:
+            return self.run(name)
+        except (DocumentError, ValueError) as error:
+            if TUNE_FIRST not in str(error) or self.excited != self.axis:
+                raise
+        self.tune(self.place / MODEL, FIRST)
+        self.excited = self.place / FIRST / AXIS
+        return self.run(name)
+
     def run(self, name: str, axis: Path | None = None) -> Path:
         """As `run AXIS --profile FILE --out RUN`, or `run AXIS --out RUN` on another axis file. Raises DocumentError;
         ValueError for a run that ends with a fault.
         """
-        plan = make_plan(axis or self.axis, profile_file=None if axis else self.place / f"{name}.yaml")
+        plan = make_plan(axis or self.excited, profile_file=None if axis else self.place / f"{name}.yaml")
         out = self.place / f"{name}.mcap"
         out.unlink(missing_ok=True)  # of a run with larger amplitudes
         given = permission(plan.path, plan.axis, plan.model)
@@ -190,14 +204,14 @@ class Chain:
         write_model(self.place / KNOWN, model)
         return self.place / KNOWN
 
-    def tune(self, model_path: Path | None = None) -> dict[str, Any]:
+    def tune(self, model_path: Path | None = None, out: str = TUNED) -> dict[str, Any]:
         """As `tune MODEL --axis AXIS --out tuned`, its axis file alone, and its summary. Raises DocumentError."""
         model_path = model_path or self.model()
         axis, model = read_axis(self.axis), read_model(model_path)
         found, _ = tune_axis(axis, model, Wish(), commissioned(self.axis, axis))
         section = found.section(axis.controller.current_limit_a)
-        write_tuned_axis(self.axis, _made(self.place / TUNED), section, model_path)
-        self.warnings += found.design.warnings
+        write_tuned_axis(self.axis, _made(self.place / out), section, model_path)
+        self.warnings += found.design.warnings if out == TUNED else ()
         return found.summary()
 
     def tune_range(self, low_kg_m2: float, high_kg_m2: float) -> None:
@@ -250,7 +264,7 @@ class TypedChain(Chain):
         out = self.place / f"{name}.mcap"
         out.unlink(missing_ok=True)
         profile = [] if axis else ["--profile", self.place / f"{name}.yaml"]
-        self.typed("run", axis or self.axis, *profile, "--out", out)
+        self.typed("run", axis or self.excited, *profile, "--out", out)
         return out
 
     def identify(self, logs: list[Path]) -> bool:
@@ -265,11 +279,11 @@ class TypedChain(Chain):
             with contextlib.suppress(RefusedError):
                 self.typed("diagnose", "--fit", *self.logs, "--out", self.place / DIAGNOSED)
 
-    def tune(self, model_path: Path | None = None) -> dict[str, Any]:
+    def tune(self, model_path: Path | None = None, out: str = TUNED) -> dict[str, Any]:
         """`tune MODEL --axis AXIS --out tuned`"""
         model = model_path or self.model()
-        found = self.typed("tune", model, "--axis", self.axis, "--out", self.place / TUNED, "--json")
-        self.warnings += found["warnings"]
+        found = self.typed("tune", model, "--axis", self.axis, "--out", self.place / out, "--json")
+        self.warnings += found["warnings"] if out == TUNED else ()
         return found
 
     def typed(self, command: str, *words: str | Path) -> dict[str, Any]:
