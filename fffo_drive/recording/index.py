@@ -46,6 +46,8 @@ def read_index(file: BinaryIO) -> Summary | None:
     indexed = (len(summary.chunk_indexes), len(summary.attachment_indexes), len(summary.metadata_indexes))
     if indexed != (stated.chunk_count, stated.attachment_count, stated.metadata_count):
         return None
+    if stated.message_count and not summary.chunk_indexes:
+        return None  # messages outside of chunks are in no index
     if not all(_is_inside(chunk, summary_start) and chunk.message_index_offsets for chunk in summary.chunk_indexes):
         return None
     return summary

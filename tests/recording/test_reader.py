@@ -79,6 +79,7 @@ def test_other_fields_padding_and_layouts_of_the_file(tmp_path, options):
     assert run.meanings["torque_nm"] == "torque"
     assert np.array_equal(run.log_time_ns, 1000 + np.arange(100))
     assert np.allclose(np.diff(run.time_s), 1e-9)
+    assert describe(path) == describe(path, check=True)  # whatever the file has of an index
 
 
 def test_big_endian_rows(tmp_path):
