@@ -293,7 +293,8 @@ def _report(options: argparse.Namespace) -> int:
         asked = [drive for drive in options.serial if drive in spread.drives]
         named = asked if options.serial else shown_drives(spread)
         drawn[spread.model] = histories(store, spread.model, named) if named else {}
-    moved = _watched(store, options.alarms_per_drive_year)
+    with progress_bar("watch", quiet=options.json):
+        moved = _watched(store, options.alarms_per_drive_year)
     source = FleetSource(store.place.address, store.status(), spreads, drawn, moved)
     page = fleet_report(source)
     paths = write_report(page, Path(options.out))
