@@ -55,6 +55,7 @@ IN_PROCESS = (
     Typed("config signals", "velocity_rps"),
     Typed("config effects", "cogging"),
     Typed("log info work.mcap", "complete"),
+    Typed("log export work.mcap --to 0.5 --out part.mcap", "1000 rows", "part.mcap"),
     Typed("log recover torn.mcap.part whole.mcap", "bytes discarded", "whole.mcap"),
     Typed("replay work.mcap", "bit for bit"),
     Typed("close-the-loop configs/axis_undeclared.yaml --quick --out circle", "found: cogging", "circle/report.html"),
