@@ -70,9 +70,13 @@ def runs_below(place: str, tables: bool) -> list[str]:
 
 
 def add_runs(
-    store: FleetStore, places: Sequence[str], given: Given, progress: Callable[[float], None] | None = None,
-    named: Container[str] | None = None, manifest: Mapping[str, ManifestLine] | None = None,
-) -> Added:  # fmt: skip
+    store: FleetStore,
+    places: Sequence[str],
+    given: Given,
+    progress: Callable[[float], None] | None = None,
+    named: Container[str] | None = None,
+    manifest: Mapping[str, ManifestLine] | None = None,
+) -> Added:
     """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read.
 
     `manifest`: what is said of single runs, by their places. `named`: those that somebody named, None for all; a file

@@ -20,9 +20,18 @@ def spread(drives, runs, outsiders=()):
     names = tuple(f"SN{k}" for k in range(drives))
     shape = drives, len(PARAMETERS)
     return ModelSpread(
-        "M1", "rotary", names, np.full(drives, runs), np.zeros(drives), np.zeros(drives), tuple(PARAMETERS),
-        np.ones(shape), np.full(shape, 0.01), (), tuple(outsiders),
-    )  # fmt: skip
+        "M1",
+        "rotary",
+        names,
+        np.full(drives, runs),
+        np.zeros(drives),
+        np.zeros(drives),
+        tuple(PARAMETERS),
+        np.ones(shape),
+        np.full(shape, 0.01),
+        (),
+        tuple(outsiders),
+    )
 
 
 def far(drive):
@@ -30,8 +39,23 @@ def far(drive):
 
 
 def alarm(drive):
-    return Alarm(drive, "Coulomb friction", (), 0.1, (0.08, 0.12), "its size before", 0.002, "coulomb_nm", 0, "a" * 64,
-                 1.77e9, ("a" * 64, "b" * 64), "c" * 64, 1.78e9, ("a" * 64, "b" * 64))  # fmt: skip
+    return Alarm(
+        drive,
+        "Coulomb friction",
+        (),
+        0.1,
+        (0.08, 0.12),
+        "its size before",
+        0.002,
+        "coulomb_nm",
+        0,
+        "a" * 64,
+        1.77e9,
+        ("a" * 64, "b" * 64),
+        "c" * 64,
+        1.78e9,
+        ("a" * 64, "b" * 64),
+    )
 
 
 def page(own, alarms=(), doubts=(), status=None, laws=("viscous friction", "Coulomb friction")):

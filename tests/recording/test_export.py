@@ -55,8 +55,11 @@ def test_a_window_and_columns_as_typed(sample, tmp_path, capsys):  # noqa: F811
     words = ["log", "export", str(sample), "--out", str(out), "--columns", "velocity_rps, trip", "--json"]
     assert main([*words, "--from", "0.05", "--to", "0.06"]) == 0
     assert json.loads(capsys.readouterr().out) == {
-        "path": str(out), "rows": 20, "columns": ["velocity_rps", "trip"], "incomplete": [],
-    }  # fmt: skip
+        "path": str(out),
+        "rows": 20,
+        "columns": ["velocity_rps", "trip"],
+        "incomplete": [],
+    }
     table = read_back(out)
     assert table["time_s"].to_numpy() == pytest.approx(0.05 + 5e-4 * np.arange(20), abs=1e-9)
     assert np.array_equal(table["velocity_rps"].to_numpy(), ROWS["velocity_rps"][100:120], equal_nan=True)

@@ -27,8 +27,9 @@ TRIP_S = 0.11
 def sample(request, tmp_path_factory) -> Path:
     """Many chunks of rows, an event in one of the middle and one at the end."""
     path = tmp_path_factory.mktemp("index") / f"{request.param}.mcap"
-    writer = RunWriter(path, {"axis": "bench"}, [("a", "text/plain", b"A" * 300)], WALL_NS, chunk_size=6000,
-                       compression=request.param)  # fmt: skip
+    writer = RunWriter(
+        path, {"axis": "bench"}, [("a", "text/plain", b"A" * 300)], WALL_NS, chunk_size=6000, compression=request.param
+    )
     for begin in range(0, len(ROWS), 20):
         writer.write_rows(ROWS[begin : begin + 20])
         if begin == 220:

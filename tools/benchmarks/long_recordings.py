@@ -126,10 +126,16 @@ def run() -> int:
             for done, command in enumerate(BOUNDS):
                 own_mb, whole_mb, used_s = peak_mb(words_of(command, path, directory))
                 path.with_suffix(".parquet").unlink(missing_ok=True)
-                rows.append((
-                    f"{minutes} min, {size_mb:.0f} MB", f"`{command}`", f"{own_mb:.0f} MB", f"{whole_mb:.0f} MB",
-                    f"{used_s:.2f} s", f"{length_s / used_s:.0f}",
-                ))  # fmt: skip
+                rows.append(
+                    (
+                        f"{minutes} min, {size_mb:.0f} MB",
+                        f"`{command}`",
+                        f"{own_mb:.0f} MB",
+                        f"{whole_mb:.0f} MB",
+                        f"{used_s:.2f} s",
+                        f"{length_s / used_s:.0f}",
+                    )
+                )
                 if minutes == MINUTES[-1]:
                     _bounded(report, command, own_mb, used_s, length_s / used_s)
                 if progress is not None:
@@ -139,10 +145,16 @@ def run() -> int:
                 raise RuntimeError(f"{path.name}: no record was made: {status}")
             path.unlink()
     report.table(
-        ("recording", "command", "largest memory of its own", "with the pages of shared libraries", "processor time",
-         "times real time"),
+        (
+            "recording",
+            "command",
+            "largest memory of its own",
+            "with the pages of shared libraries",
+            "processor time",
+            "times real time",
+        ),
         rows,
-    )  # fmt: skip
+    )
     report.notes.append(
         "Memory of its own is what a control group charges to it beside the cache of files; pages of libraries are "
         "shared with other processes."
