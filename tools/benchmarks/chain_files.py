@@ -123,13 +123,13 @@ class Chain:
             sized = {key: LOWER**step * scale * v if key in AMPLITUDES else v for key, v in PROFILES[name].items()}
             _write(self.place / f"{name}.yaml", {"profile": sized})
             try:
-                return self._run_as_advised(name)
+                return self.run_as_advised(name)
             except (DocumentError, ValueError) as error:
                 refusal = error
         assert refusal is not None
         raise refusal
 
-    def _run_as_advised(self, name: str) -> Path:
+    def run_as_advised(self, name: str) -> Path:
         """`run`, and where it refuses the gains of the first axis file `tune` for the assumed model before it."""
         try:
             return self.run(name)
