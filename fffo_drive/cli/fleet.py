@@ -154,7 +154,7 @@ def _add(options: argparse.Namespace) -> int:
     for caution in added.cautions:
         print(f"caution: {caution}", file=sys.stderr)
     for skipped in added.skipped:
-        print(f"no run: {printable(skipped)}", file=sys.stderr)
+        print(f"skipped, not a run: {printable(skipped)}", file=sys.stderr)
     if options.json:
         print(json.dumps(added._asdict(), indent=2))
     else:
@@ -162,7 +162,7 @@ def _add(options: argparse.Namespace) -> int:
         print(
             f"{added.new} runs added, {known} were known"
             + (f", {len(added.problems)} not added" * bool(added.problems))
-            + (f", {len(added.skipped)} are no run" * bool(added.skipped))
+            + (f", {len(added.skipped)} skipped" * bool(added.skipped))
         )
     missing = 0
     if options.work:

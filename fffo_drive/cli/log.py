@@ -42,13 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     table.add_argument("--columns", metavar="NAME,NAME", default="", help="these columns, beside time_s")
     table.add_argument(
-        "--from", metavar="S", dest="from_s", type=float, help="from here on, seconds from the first row"
+        "--from", metavar="S", dest="from_s", type=float, default=0.0, help="from here on, seconds from the first row"
     )
-    table.add_argument("--to", metavar="S", dest="to_s", type=float, help="up to here")
+    table.add_argument("--to", metavar="S", dest="to_s", type=float, default=math.inf, help="up to here")
     table.add_argument(
         "--around",
         metavar="TEXT",
-        help=f"{AROUND_S:g} s on each side of the first event of the first file that says this",
+        help=f"{AROUND_S:g} s on each side of the first event of the first file that contains this",
     )
     table.add_argument("--json", action="store_true", help="print one JSON object")
     rescue = actions.add_parser("recover", help=RECOVER, description=sentence(RECOVER))
@@ -92,12 +92,10 @@ def _print(entry: dict[str, Any]) -> None:
 
 def _export(options: argparse.Namespace) -> int:
     paths = [Path(file) for file in options.files]
-    window = TimeWindow(
-        0.0 if options.from_s is None else options.from_s, math.inf if options.to_s is None else options.to_s
-    )
+    window = TimeWindow(options.from_s, options.to_s)
     if options.around is not None:
-        if options.from_s is not None or options.to_s is not None:
-            raise SystemExit("fffo-drive log export: --around says the window by itself: without --from and --to")
+        if window != TimeWindow():
+            raise SystemExit("fffo-drive log export: --around sets the window: leave out --from and --to")
         window, event = around(paths[0], options.around)
         print(printable(f"around {event.time} {event.source}: {event.text}"), file=sys.stderr)
     columns = [name.strip() for name in options.columns.split(",") if name.strip()]

@@ -149,7 +149,7 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
     margins = law_margins(axis, model, observer_on)
     loop = loop_axis(axis, model)
     tune = f"`fffo-drive tune {axis.model} --axis AXIS --out DIR`"  # for the model as it is, be it assumed
-    remedy = f", or let {tune} choose"
+    remedy = f", or let {tune} choose the gains"
     if loop.elastic != RIGID:
         remedy = f". With {resonance_text(loop)}: {tune} chooses a notch"
     ends = loop.inertia_range_nm_s2_per_rev
@@ -172,7 +172,7 @@ def law_problems(axis: AxisFile, model: ModelFile, observer_on: bool) -> list[st
             f"controller.at_rest.gain_share: {section.at_rest.gain_share:g} leaves a phase margin of "
             f"{at_rest.phase_deg:.1f} deg and a gain margin of {at_rest.gain:.2f} at rest, where the friction contact "
             "acts as a spring: the axis would oscillate. Lower it, or at_rest.hold_a_per_rev_s, or let "
-            f"{tune} choose"
+            f"{tune} choose both"
         )
     return problems
 

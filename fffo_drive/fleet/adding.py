@@ -166,7 +166,9 @@ def _entry(path: str, given: Given, changed: datetime) -> dict[str, Any]:
             except RecordingError as error:
                 raise NoLogError(str(error).replace(str(copy), path)) from error
             drive, model = _of_facts(path, given.facts, given), given.model or given.facts.name
-            start = _clock_of(copy, given.facts) or changed
+            start = changed
+            if given.start is None and not given.time_from_name:
+                start = _clock_of(copy, given.facts) or changed
         start = given.start or (time_in_name(path) if given.time_from_name else start)
         return {
             "run": digest_of(copy), "drive": drive, "model": model or drive, "path": path, "start": start,

@@ -127,7 +127,7 @@ def _verdict(source: FleetSource) -> Verdict:
     headline = f"{said}: " + (
         f"{len(outside) or 'none'} outside of the population, {len(changed) or 'none'} changed in its own history"
         if judged
-        else "too few drives and runs to judge one"
+        else "too few drives and runs to judge any"
     )
     lines = [Line(label="changed", text=alarm_text(alarm)) for alarm in alarms]
     lines += [Line(label=one.drive, text=outsider_text(one)) for one in outsiders]
@@ -159,7 +159,7 @@ def _verdict(source: FleetSource) -> Verdict:
     reasons += [f"changed: at most {rate:g} false alarms per drive and year" for rate in rates]
     return Verdict(
         headline=headline,
-        finding=" and ".join(found) or ("none outside, none changed" if judged else "no judgement"),
+        finding=" and ".join(found) or ("none outside, none changed" if judged else "too little data"),
         # that nothing was found says that nothing large is there, and nothing of runs without a record
         confidence="probable" if found or (judged and not cautions) else "cannot tell",
         next_step=step,

@@ -240,10 +240,11 @@ def _on_rung(
     else:
         orders, looked_at = _orders(bench, chosen, facts)
         phases = (False,) if same_zero else (False, True)
+        taken = {one.order for one in chosen if one.name != SENSOR_ERROR.name}
         found = [
             EffectCandidate(rung, "cogging", ("cos_nm", "sin_nm"), {"order": order}, order, per_run)
             for order in orders
-            if order not in {one.order for one in chosen if one.name != SENSOR_ERROR.name}
+            if order not in taken
             for per_run in phases
         ]
         if bench.start.has_inertia and not any(one.name == SENSOR_ERROR.name for one in chosen):

@@ -96,9 +96,9 @@ def export(
 
 
 def around(path: Path, text: str, margin_s: float = AROUND_S) -> tuple[TimeWindow, Event]:
-    """The window around the first event of a recording that says a text (a fault, a trip's name), and the event.
+    """The window around the first event of a recording that contains a text (a fault, a trip's name), and the event.
 
-    Raises RecordingError where no event does.
+    Raises RecordingError where none does.
     """
     part = _part(path)
     for event in part.run.events:
@@ -107,7 +107,7 @@ def around(path: Path, text: str, margin_s: float = AROUND_S) -> tuple[TimeWindo
             return TimeWindow(at_s - margin_s, at_s + margin_s), event
     said = "\n".join(f"  {event.time} {event.source}: {event.text}" for event in part.run.events)
     raise RecordingError(
-        f"{path}: no event says {text!r}" + (f"; there are:\n{said}" if said else ", and there is none")
+        f"{path}: no event contains {text!r}" + (f"; there are:\n{said}" if said else ", and there is none")
     )
 
 

@@ -33,7 +33,9 @@ def clear_fault(session: Session, reset: bool, command: str) -> str:
     if not _wait(session, lambda: not int(feedback["statusword"][0]) & STATUS_FAULT, RESET_S):
         words = session.drive.fault_words()
         if int(feedback["nmt_state"][0]) not in (NMT_OPERATIONAL, -1):
-            raise DriveRefusedError(f"the drive hears no reset ({words}): it is not operational; start once more")
+            raise DriveRefusedError(
+                f"the drive did not hear the reset ({words}): it is not operational; run the command again"
+            )
         raise DriveRefusedError(f"the drive stays in fault after a reset ({words}): its cause is still there")
     return f"fault cleared: {words}"
 

@@ -120,8 +120,8 @@ def test_what_could_not_be_judged_is_told(drives, runs, caution):
 
 def test_too_little_to_judge_anything():
     report = page(spread(1, 1))
-    assert said(report) == ("no judgement", "cannot tell", "add drives and runs")
-    assert "too few drives and runs to judge one" in report.verdict.headline
+    assert said(report) == ("too little data", "cannot tell", "add drives and runs")
+    assert "too few drives and runs to judge any" in report.verdict.headline
 
 
 @pytest.mark.parametrize(

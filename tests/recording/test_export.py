@@ -129,8 +129,8 @@ def test_files_of_two_runs_do_not_become_one_recording(tmp_path):
         (["--out", "a.mcap", "--columns", "trip"], "a.mcap: a recording has all columns"),
         (["--out", "a.mcap", "--from", "5"], "a.mcap: not written: no row lies from 5 s to inf s"),
         (["--out", "a.csv", "--from", "5"], "a.csv: not written: no row lies from 5 s to inf s"),
-        (["--out", "a.csv", "--around", "overheated"], "no event says 'overheated'; there are:"),
-        (["--out", "a.csv", "--around", "trip", "--to", "3"], "--around says the window by itself"),
+        (["--out", "a.csv", "--around", "overheated"], "no event contains 'overheated'; there are:"),
+        (["--out", "a.csv", "--around", "trip", "--to", "3"], "--around sets the window"),
         (["--out", "taken.csv"], "taken.csv"),
     ],
 )
