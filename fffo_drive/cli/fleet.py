@@ -160,7 +160,7 @@ def _add(options: argparse.Namespace) -> int:
     else:
         known = added.found - added.new - len(added.problems) - len(added.skipped)
         print(
-            f"{added.new} runs added, {known} were known"
+            f"{counted(added.new, 'run')} added, {known} known before"
             + (f", {len(added.problems)} not added" * bool(added.problems))
             + (f", {len(added.skipped)} skipped" * bool(added.skipped))
         )

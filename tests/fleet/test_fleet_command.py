@@ -150,7 +150,7 @@ def test_a_table_without_facts_is_left_out_and_the_others_are_added(fleet, tmp_p
     output = capsys.readouterr()
     assert "--drive FILE" in output.err
     assert "garbage.mcap: not an MCAP file" in output.err
-    assert "0 runs added, 0 were known, 2 not added" in output.out
+    assert "0 runs added, 0 known before, 2 not added" in output.out
 
 
 def test_add_and_work_in_one_go(facts_file, tmp_path, capsys):

@@ -37,7 +37,7 @@ def test_what_is_no_run_beside_the_runs_is_named_and_skipped(facts_file, tmp_pat
     assert main(["fleet", "add", *words, "--from", str(folder)]) == 0
     said = capsys.readouterr()
     assert "notes.txt" in said.err
-    assert "1 runs added, 0 were known, 1 skipped" in said.out
+    assert "1 run added, 0 known before, 1 skipped" in said.out
     assert main(["fleet", "work", str(store), "--workers", "1"]) == 0
     named = [words[0], str(folder / "notes.txt"), *words[1:]]
     assert main(["fleet", "add", *named]) == 78  # somebody named it
