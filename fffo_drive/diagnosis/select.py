@@ -42,7 +42,7 @@ from .fitting import (
     share_gone,
 )
 from .gates import ReferenceAxis, implausibility, objection
-from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
+from .propose import LAW_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect
 from .scored import (
     LADDER_ITERATIONS,
@@ -171,18 +171,17 @@ class Selector:
         self.ladder = FirstRungs(data, scored, tuple(accepted))
         reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
         self.reference = reference.beside(climbed.start.inertia_nm_s2_per_rev)
-        for rung in (LAW_RUNG, TABLE_RUNG):
-            data, scored, accepted = self._climbed(whole, data, scored, accepted, rung)
+        data, scored, accepted = self._climbed(whole, data, scored, accepted)
         return self._finished(whole, *self._pruned(data, scored, accepted, refit=True))
 
     def _climbed(
-        self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
+        self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted], curves: Names = None
     ) -> State:
-        """Add effects of one rung until none remains."""
+        """Add effects until none remains; of free curves those of these names (None: all)."""
         while len(accepted) < MOST_EFFECTS:
-            self.share = max(self.share, (len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0))
+            self.share = max(self.share, (len(accepted) + 1) / (MOST_EFFECTS + 1))
             self.progress(self.share, "search")
-            found = self._round(data, scored, accepted, rung, curves)
+            found = self._round(data, scored, accepted, curves)
             if found is None:
                 break
             accepted = found[2]
@@ -195,7 +194,7 @@ class Selector:
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
         if accepted is not curves:
             names = frozenset(note.name for note in curves if note.name.startswith(UNKNOWN))
-            data, scored, accepted = self._climbed(whole, data, scored, accepted, LAW_RUNG, names)
+            data, scored, accepted = self._climbed(whole, data, scored, accepted, names)
         for k, note in enumerate(accepted):  # a law that is needed even beside a curve over its own axis
             if _set_aside(scored, k) != (containing := _set_aside(scored, k, True)):
                 accepted[k] = self._judged(data, scored, k, note, True, containing)
@@ -232,14 +231,12 @@ class Selector:
             return data, scored
         return settled(freed, found.fitted)
 
-    def _round(
-        self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
-    ) -> State | None:
-        """Add one effect, of free curves one of these names (None: all); None where none remains on this rung."""
+    def _round(self, data: Data, scored: ScoredFit, accepted: list[Accepted], curves: Names = None) -> State | None:
+        """Add one effect, of free curves one of these names (None: all); None where none remains."""
         evidence = self._evidence(data, scored.fitted, scored.matrix)
-        proposals = self.search.proposals(data, scored.fitted, evidence, rung, curves)
+        proposals = self.search.proposals(data, scored.fitted, evidence, LAW_RUNG, curves)
         tried = self.search.tried
-        if rung == LAW_RUNG and not self.first:
+        if not self.first:
             self.first = tuple(one.without_columns for one in ranked(proposals, key=lambda one: -one.worth))
             self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
         laws, free = self._contenders(data, scored, evidence, proposals, tried)
@@ -247,7 +244,7 @@ class Selector:
         believed = self._believed(data, scored, evidence, laws, tried)
         free = _beyond_laws(scored, believed, free, evidence.folds)[:CURVES_REFITTED]
         believed += self._believed(data, scored, evidence, free, tried)
-        if rung == LAW_RUNG and self._contradicted(data, scored, evidence, believed):
+        if self._contradicted(data, scored, evidence, believed):
             return None
         if not believed:
             return None
@@ -272,7 +269,7 @@ class Selector:
             self.refused[chosen[0].name] = Refused(
                 chosen[0].name, reason, share_gone(scored.fitted, chosen[1].fitted), note.p
             )
-            return self._round(data, scored, accepted, rung, curves)
+            return self._round(data, scored, accepted, curves)
         state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
         if state in self.visited:  # a cycle: adding one effect removes another, and the reverse
             return None
@@ -298,7 +295,7 @@ class Selector:
             ratios, self.visited = self.inertia_ratios, {()}
             laws = (data, scored_fit(data, bare), [accepted[k] for k in others])
             while len(laws[2]) < min(MOST_EFFECTS, len(others) + LAWS_FOR_CURVE * len(names)):
-                more = self._round(*laws, LAW_RUNG, frozenset())
+                more = self._round(*laws, frozenset())
                 if more is None:
                     break
                 laws = more
@@ -363,6 +360,7 @@ class Selector:
         self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, ScoredFit, Gain]]:
         """Contenders beyond chance, at the latest when refitted with everything, with enough gain and no objection."""
+
         both = "two_starts" not in self.ablate
 
         def refit(one: Contender) -> ScoredFit:
