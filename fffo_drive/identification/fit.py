@@ -26,13 +26,13 @@ from .dataset import SAME_RATE, DataError, Record
 from .effects_fit import COULOMB, STATIC, FittedEffect, effects_of, joint_coordinates, scales_of
 from .facts import DriveFacts
 from .kinematics import low_pass
-from .ladder import LARGEST_P, Ladder, climb
+from .ladder import LARGEST_P, WAVES, Ladder, climb
 from .layout import EffectLayout, EffectStart, layout_of
 from .noise_bias import noise_shift
 from .prediction import BANDWIDTH_PERIODS, Problem, make_problem, residual, residuals
 from .ranking import first_best, ranked
 from .regression import TorqueStart, regression_start, start_problems
-from .residuals import WINDOW_S, RunResidual, run_residuals
+from .residuals import WINDOW_S, RunResidual, run_residuals, torque_residual
 from .rows import LAST_DELAY_S
 from .solver import Solution, huber_cost, refine, robust_scale, solve
 from .uncertainty import Disagreement, Uncertainty, ratio_sd, uncertainty_of, undetermined
@@ -101,6 +101,11 @@ class Fit(NamedTuple):
         """One parameter by its name in PARAMETERS."""
         return float(self.physical[PARAMETERS.index(name)])
 
+    @property
+    def apart(self) -> float:
+        """Logarithm of the ratio of the inertias that simulation and force balance ask for, without its sign."""
+        return abs(math.log(self.value(INERTIA) / self.start.inertia_nm_s2_per_rev))
+
 
 def fit_records(
     records: Sequence[Record], settings: FitSettings | None = None, facts: DriveFacts | None = None,
@@ -109,7 +114,8 @@ def fit_records(
     """Fit one axis, with the effects of the first rungs, to one or several records of it.
 
     An effect whose strength in the fit may be zero is left out again, the weakest first (backward elimination): a wave
-    at which the rows of the ladder hint, of the hundreds that were tried, can be another effect's.
+    at which the rows of the ladder hint, of the hundreds that were tried, can be another effect's. So are all waves,
+    where with them force balance and simulation contradict each other and more torque is left than without.
     Raises DataError if the data do not permit a fit.
     """
     settings = settings or FitSettings()
@@ -119,16 +125,26 @@ def fit_records(
     start = regression_start(records)
     if settings.effects is not None:
         return _fit(records, settings, facts, tell, start, settings.effects)
+
+    def fitted(ladder: Ladder) -> Fit:
+        effects = tuple(one.start(len(records)) for one in ladder.accepted)
+        return _fit(records, settings, facts, tell, ladder.start, effects)._replace(ladder=ladder)
+
     ladder = climb(records, start, facts)
-    while True:
-        accepted = sorted(ladder.accepted, key=lambda one: one.candidate.name != OFFSET)  # as the effects of a fit
-        effects = tuple(one.start(len(records)) for one in accepted)
-        fit = _fit(records, settings, facts, tell, ladder.start, effects)._replace(ladder=ladder)
+    fit = fitted(ladder)
+    while fit.effects:
         chances = [effect.chance * ladder.tried for effect in fit.effects]
-        if max(chances, default=0.0) <= LARGEST_P:
-            return fit
-        weakest = accepted[int(np.argmax(chances))]
-        ladder = ladder._replace(accepted=tuple(one for one in ladder.accepted if one is not weakest))
+        weakest = int(np.argmax(chances))
+        if chances[weakest] <= LARGEST_P:
+            break
+        ladder = ladder._replace(accepted=ladder.accepted[:weakest] + ladder.accepted[weakest + 1 :])
+        fit = fitted(ladder)
+    waves = frozenset(one.candidate.name for one in ladder.accepted if one.candidate.rung == WAVES)
+    if waves and fit.apart > LARGEST_APART:
+        bare = fitted(climb(records, start, facts, waves))
+        cutoff_hz = min(fit.start.cutoff_hz, bare.start.cutoff_hz)
+        return min(fit, bare, key=lambda one: _left_nm(records, one, cutoff_hz))
+    return fit
 
 
 def _fit(
@@ -190,6 +206,14 @@ def _fit(
     return fit
 
 
+def _left_nm(records: Sequence[Record], fit: Fit, cutoff_hz: float) -> float:
+    """Rms of the torque that a model leaves in all records, below a cut-off."""
+    parts = [
+        torque_residual(record, fit.physical, cutoff_hz, fit.terms(number)) for number, record in enumerate(records)
+    ]
+    return float(np.sqrt(np.mean(np.concatenate([one.residual_nm[one.kept] for one in parts]) ** 2)))
+
+
 def _seen(start: TorqueStart) -> tuple[str, ...]:
     """Parameters that the motion of the logs tells of; the others are held at the start."""
     if start.has_inertia:
@@ -204,8 +228,6 @@ def _judged(fit: Fit) -> Fit:
     mixed = float(fit.uncertainty.correlation[coulomb, static]) * sd[coulomb] * sd[static]
     excess_sd = math.sqrt(max(0.0, sd[coulomb] ** 2 + sd[static] ** 2 - 2.0 * mixed))
     worst = max(fit.runs, key=lambda run: run.free_run_share)
-    inertia = fit.value(INERTIA)
-    apart = abs(math.log(inertia / start.inertia_nm_s2_per_rev))
     found = [
         (
             not start.has_inertia,
@@ -214,14 +236,14 @@ def _judged(fit: Fit) -> Fit:
         ),
         (not start.has_delay, (INERTIA, "delay_s"), f"up to {1e3 * LAST_DELAY_S:g} ms no delay fits best"),
         (
-            start.is_noisy and sd[0] > LARGEST_NOISY_SD * inertia,
+            start.is_noisy and sd[0] > LARGEST_NOISY_SD * fit.value(INERTIA),
             (INERTIA,),
             f"the sensor's noise hides the acceleration above {start.cutoff_hz:g} Hz",
         ),
         (
-            apart > LARGEST_APART,
+            fit.apart > LARGEST_APART,
             (INERTIA,),
-            f"force balance and simulation ask for values that are {100.0 * apart:.0f} % apart",
+            f"force balance and simulation ask for values that are {100.0 * fit.apart:.0f} % apart",
         ),
         (
             worst.free_run_share > LARGEST_FREE_RUN,

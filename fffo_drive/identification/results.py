@@ -19,7 +19,7 @@ from .coordinates import LOGARITHMIC, MODEL_PARAMETERS, PARAMETERS
 from .dataset import DataError, Record
 from .declared import weight_remarks
 from .facts import DriveFacts
-from .fit import OFFSET, OTHER_RATIOS, Fit
+from .fit import OTHER_RATIOS, Fit
 from .frequency_response import damping_over_amplitude, fit_first_order, frequency_response
 from .residuals import residual_summary
 from .runs import RunLook, look_at_runs
@@ -162,7 +162,7 @@ def _estimates(look: RunLook) -> dict[str, Any]:
 def _effects(fit: Fit, records: Sequence[Record], facts: DriveFacts) -> list[dict[str, Any]]:
     """The effects of the model, each number with its interval, and their evidence on the rows of the ladder."""
     linear = facts.units == "linear"
-    accepted = [] if fit.ladder is None else sorted(fit.ladder.accepted, key=lambda one: one.candidate.name != OFFSET)
+    accepted = () if fit.ladder is None else fit.ladder.accepted
     found = []
     for k, effect in enumerate(fit.effects):
         law = law_of(effect.name)
