@@ -133,7 +133,7 @@ def fit_records(
     ladder = climb(records, start, facts)
     fit = fitted(ladder)
     while fit.effects:
-        chances = [effect.chance * ladder.tried for effect in fit.effects]
+        chances = [effect.chance for effect in fit.effects]
         weakest = int(np.argmax(chances))
         if chances[weakest] <= LARGEST_P:
             break
