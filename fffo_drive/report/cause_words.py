@@ -100,6 +100,16 @@ SAID: dict[str, Callable[[_Effect], str]] = {
         f"{sized(e['tau_s'], 's')})"
     ),
     "load_dependent_friction": lambda e: f"friction takes {percent(e['share'])} of the torque that is transmitted",
+    "position_dependent_friction": lambda e: (
+        f"friction varies by up to {percent(max(e.wave('_share'), abs(e['window_share'])))} along the travel"
+    ),
+    "frictional_lag": lambda e: (
+        f"{percent(abs(e['share']))} of the friction follows a change of speed only over "
+        f"{e.quantity(e['length_rev'], 'rev')} of travel"
+    ),
+    "quadratic_drag": lambda e: (
+        f"drag grows with the square of the speed, {e.quantity(e['drag_nm_per_rps2'], 'Nm/rps2')}"
+    ),
     "friction_ripple": lambda e: f"friction varies by \u00b1{percent(e.wave('_share'))} {_per_turn(e)}",
     "coulomb_drift": lambda e: (
         f"sliding friction {_rises(e['share'])} by {percent(abs(e['share']))} (time constant {sized(e['tau_s'], 's')})"

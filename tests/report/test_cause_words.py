@@ -58,6 +58,18 @@ def test_a_size_is_written_as_a_person_would(value, unit, text):
             "a torque of ±50 mNm with 72 periods per motor turn",
         ),
         (effect("delay", delay_s=0.0021), "torque comes 2.1 ms later than the model says"),
+        (
+            effect("quadratic_drag", drag_nm_per_rps2=1.2e-4),
+            "drag grows with the square of the speed, 120 µNm/rps2",
+        ),
+        (
+            effect("position_dependent_friction", cos_share=0.03, sin_share=0.04, period_rev=12.0),
+            "friction varies by up to 5.0 % along the travel",
+        ),
+        (
+            effect("frictional_lag", share=0.3, length_rev=0.05),
+            "30 % of the friction follows a change of speed only over 0.050 rev of travel",
+        ),
         (effect("coulomb_drift", share=-0.25, tau_s=30.0), "sliding friction falls by 25 % (time constant 30 s)"),
     ],
 )
