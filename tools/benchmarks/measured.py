@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from common import ROOT, Report, finish, main, parser, shown
-from engine import Call, claimed, first_names, in_parallel, residual_is_reported, typed, write_answer
+from engine import Call, accepted_of, claimed, first_names, in_parallel, residual_is_reported, typed, write_answer
 from measured_sets import write_all
 from rows import CUTOFF_HZ, Textbook, needed_nm, rms, rows_of
 
@@ -193,7 +193,8 @@ def _row(report: Report, case: Case, said: dict[str, Any]) -> list[str]:
         return [*start, said["failure"], *books, "-", "-", "-", "-", "-"]
     answer = said["report"]
     before = answer["before"]["held_out"]
-    after = answer["after"]["held_out"] or before
+    # without an effect that carries over no model is written, and the one in service stays
+    after = (answer["after"]["held_out"] if accepted_of(answer) else None) or before
     ours_nm, cost = after["torque_rms_nm"], answer["process"]
     _targets(report, case, answer, ours_nm, book)
     report.facts[case.name] = {**book, "ours_nm": ours_nm, "said": first_names(answer), **cost}
