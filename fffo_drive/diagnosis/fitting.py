@@ -5,6 +5,7 @@ Damped Gauss-Newton on residuals of unit variance, with Huber's loss and a wide 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -63,6 +64,7 @@ class Data(NamedTuple):
     start: Floats  # start of the fits, in base parameters
     free: tuple[str, ...] = BASE  # the fitted base parameters: all, or those of a rigid base
     prior: BasePrior | None = None  # None: a wide one around the start
+    most_viscous_nm_per_rps: float = math.inf  # that the torque of the logs has room for
 
     @property
     def used(self) -> Integers:
@@ -317,7 +319,9 @@ def fit(data: Data, start: Floats, effects: Sequence[Effect], iterations: int = 
 
     def after(point: Evaluated, step: Floats) -> tuple[Evaluated, float]:
         fitted = point[0]
-        physical = stepped(fitted.physical, step[:count], data.free) if count else fitted.physical
+        physical = fitted.physical
+        if count:
+            physical = stepped(physical, step[:count], data.free, data.most_viscous_nm_per_rps)
         moved_effects: Sequence[Effect] = fitted.effects
         for slot, size in zip(numbers, step[count:], strict=True):
             limit = LARGEST_LOG if slot.logarithmic else np.inf
@@ -373,14 +377,21 @@ def _load_slopes(
     return np.stack(list(in_threads(slope, columns)), axis=1)
 
 
-def stepped(physical: Floats, step: Floats, free: Sequence[str] = BASE) -> Floats:
+def stepped(
+    physical: Floats, step: Floats, free: Sequence[str] = BASE, most_viscous_nm_per_rps: float = math.inf
+) -> Floats:
     """Base parameters after a step in their coordinates, within bounds."""
     found = physical
     for name, size in zip(BASE, step, strict=True):
         if name in free:
             found = moved(found, name, float(np.clip(size, -LARGEST_LOG, LARGEST_LOG)))
     found = found.copy()
-    for name, (low, high) in (("delay_s", (0.0, LONGEST_DELAY_S)), ("stribeck_exponent", STRIBECK_EXPONENTS)):
+    bounds = (
+        ("delay_s", (0.0, LONGEST_DELAY_S)),
+        ("stribeck_exponent", STRIBECK_EXPONENTS),
+        ("viscous_nm_per_rps", (0.0, max(most_viscous_nm_per_rps, float(physical[NAMES.index("viscous_nm_per_rps")])))),
+    )
+    for name, (low, high) in bounds:
         k = NAMES.index(name)
         found[k] = min(max(found[k], low), high)
     coulomb, static = NAMES.index("coulomb_nm"), NAMES.index("static_nm")

@@ -10,7 +10,7 @@ from ..arrays import Floats
 from ..identification.coordinates import start_vector
 from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
-from ..identification.fit import LAG_RATIOS, PRESLIDING_LSB
+from ..identification.fit import LAG_RATIOS, MOST_ACTED, PRESLIDING_LSB
 from ..identification.ranking import first_best
 from ..identification.regression import LEAST_ROWS, TorqueStart, start_problems
 from ..identification.threads import in_threads
@@ -44,7 +44,9 @@ def starting_data(
     ready = balanced(stretches, physical)
     left = residual_rows(ready, physical, rows)[rows.kept] - start.constant_nm
     level = MAD_TO_SD * float(np.median(np.abs(left)))
-    return Data(ready, rows, np.where(rows.kept, 1.0 / max(level, 1e-300), 0.0), runs, physical)
+    most_viscous = MOST_ACTED * start.most_viscous_nm_per_rps
+    weight = np.where(rows.kept, 1.0 / max(level, 1e-300), 0.0)
+    return Data(ready, rows, weight, runs, physical, most_viscous_nm_per_rps=most_viscous)
 
 
 def _physical(start: TorqueStart, stretches: Sequence[DiagnosisStretch], rows: DiagnosisRows) -> Floats:

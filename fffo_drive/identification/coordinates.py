@@ -45,9 +45,11 @@ def start_vector(start: TorqueStart, stiffness_per_rev: float, attraction_nm_per
 
 def coordinates(
     physical: Floats, period_s: float, free: tuple[str, ...], rising: bool = False, most_static_nm: float = math.inf,
-    least_stiffness_per_rev: float = 0.0,
+    least_stiffness_per_rev: float = 0.0, most_viscous_nm_per_rps: float = math.inf,
 ) -> Coordinates:  # fmt: skip
-    """Coordinates around a start. `free`: the fitted parameters; the others are held. The last two bound Fs and K."""
+    """Coordinates around a start. `free`: the fitted parameters; the others are held. The last three bound Fs, K
+    and sigma.
+    """
     names = PARAMETERS
     torque_nm = float(physical[names.index("coulomb_nm")])
     scale = np.ones(len(names))
@@ -69,8 +71,9 @@ def coordinates(
         high[k] = max(values[k], min(high[k], math.log(most)))
         if least > 0.0:
             low[k] = min(values[k], max(low[k], math.log(least)))
-    static = names.index("static_nm")
-    high[static] = max(values[static], min(high[static], math.log(most_static_nm)))
+    for name, bound in (("static_nm", most_static_nm), ("viscous_nm_per_rps", most_viscous_nm_per_rps)):
+        k = names.index(name)
+        high[k] = max(values[k], min(high[k], math.log(bound)))
     if least_stiffness_per_rev > 0.0:
         stiffness = names.index("stiffness_per_rev")
         low[stiffness] = max(low[stiffness], math.log(least_stiffness_per_rev))

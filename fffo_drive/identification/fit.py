@@ -48,9 +48,9 @@ LAG_RATIOS = (2.0, 8.0, 25.0)  # Fs/B at the start, in multiples of 1/K
 STARTS = 2
 START_S = 25.0  # of each record, to choose among the starts
 START_ITERATIONS = 6
-# Fs over the largest friction torque that acted in the logs; beyond it Fs is an extrapolation to speeds that were not
-# run (tools/benchmarks/results/static_friction.md)
-MOST_STATIC = 1.5
+# Fs, and viscous friction at high speed, over the largest friction torque that acted in the logs; beyond it they are an
+# extrapolation to speeds that were not run (tools/benchmarks/results/static_friction.md)
+MOST_ACTED = 1.5
 LAG_BLOCK_S = 1.0  # blocks that are resampled for the sensor's lag
 LAG_HZ = 60.0
 LAG_STRETCH_S, LAG_EDGE_S = 1.0, 0.1  # shortest stretch without a gap; what its filter spoils at each end
@@ -167,7 +167,8 @@ def _fit(
     layout = layout_of([effect for effect in effects if effect.name != OFFSET], scales_of(problem, first))
     free = (*_seen(start), *(NUISANCES[1:] if offsets else ()))
     least_per_rev = 1.0 / LONGEST_PRESLIDING[facts.units if facts else "rotary"]
-    frame = _Frame(free, layout, MOST_STATIC * start.most_friction_nm, least_per_rev)
+    most_nm, most_viscous = MOST_ACTED * start.most_friction_nm, MOST_ACTED * start.most_viscous_nm_per_rps
+    frame = _Frame(free, layout, most_nm, least_per_rev, most_viscous)
     tell(0.1, "starts")
     physical = _best_start(records, start, first[OFFSET_PLACE], bandwidth_hz, frame, settings.starts)
     problem = frame.of(problem)
@@ -271,6 +272,7 @@ class _Frame(NamedTuple):
     layout: EffectLayout
     most_static_nm: float
     least_stiffness_per_rev: float
+    most_viscous_nm_per_rps: float
 
     def of(self, problem: Problem) -> Problem:
         """A problem with the effects; unchanged without effects."""
@@ -284,8 +286,9 @@ class _Frame(NamedTuple):
         """Coordinates around a vector."""
         most_nm = math.inf if rising else self.most_static_nm  # there Fs is the level of high speeds
         base = coordinates(
-            physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm, self.least_stiffness_per_rev
-        )
+            physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm, self.least_stiffness_per_rev,
+            self.most_viscous_nm_per_rps,
+        )  # fmt: skip
         return joint_coordinates(base, self.layout) if self.layout.parameters else base
 
 
@@ -428,7 +431,7 @@ def _warnings(solution: Solution, space: Coordinates, literal_loss: float | None
             symbol = SYMBOLS[name].symbol if name in SYMBOLS else name  # of an effect: effect.parameter
             why = "the data contradict this part of the model"
             if name == "static_nm" and not space.rising and solution.values[k] >= space.high[k]:
-                why = f"{MOST_STATIC:g} times what acted in the logs. They have too few slow speeds to determine Fs"
+                why = f"{MOST_ACTED:g} times what acted in the logs. They have too few slow speeds to determine Fs"
             found.append(f"{symbol} stands at a bound of the fit: {why}")
     values = dict(zip(space.names, solution.values, strict=True))
     if "static_nm" in values and values["static_nm"] == values["coulomb_nm"]:

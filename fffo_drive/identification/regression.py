@@ -60,6 +60,7 @@ class TorqueStart(NamedTuple):
     has_inertia: bool = True  # False: hardly anything accelerates, and the inertia is held at no value of the axis
     has_stribeck: bool = True  # False: nor does the friction fall with speed, and Fs is Fc
     has_delay: bool = True  # False: the scan has no minimum, and the delay is not known
+    most_viscous_nm_per_rps: float = math.inf  # as much at high speed as all that acted in the logs beside the inertia
 
 
 def _solve(rows: RegressionRows, bump: Floats | None = None) -> LinearFit:
@@ -122,7 +123,8 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOF
     static = coulomb + (min(max(excess, 0.02 * coulomb), 6.0 * coulomb) if has_stribeck else 0.0)
     if not has_inertia:
         inertia = static / HELD_RPS2
-    friction = rows.torque_nm - inertia * rows.acceleration_rps2 - viscous * rows.velocity_rps - constant
+    acted = rows.torque_nm - inertia * rows.acceleration_rps2 - constant
+    friction = acted - viscous * rows.velocity_rps
     return TorqueStart(
         inertia,
         viscous,
@@ -139,6 +141,7 @@ def regression_start(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOF
         has_inertia,
         has_stribeck,
         rigid.has_minimum,
+        float(np.abs(acted).max()) / high,
     )
 
 

@@ -119,6 +119,16 @@ def test_a_step_stays_within_what_an_axis_can_be():
     static, coulomb = found[NAMES.index("static_nm")], found[NAMES.index("coulomb_nm")]
     assert coulomb >= static / STEEPEST
     assert stepped(TRUTH, -steep * 2.0)[NAMES.index("static_nm")] >= stepped(TRUTH, -steep * 2.0)[3]
+    fast = np.zeros(len(BASE))
+    fast[BASE.index("viscous_nm_per_rps")] = 0.5
+    viscous = TRUTH[NAMES.index("viscous_nm_per_rps")]
+    for most, wanted in (
+        (np.inf, np.exp(0.5)),
+        (1.2 * viscous, 1.2),
+        (0.5 * viscous, 1.0),
+    ):  # what the torque has room for
+        reached = stepped(TRUTH, fast, BASE, most)[NAMES.index("viscous_nm_per_rps")]
+        assert reached == pytest.approx(wanted * viscous)
 
 
 def test_the_loss_of_unseen_rows_is_a_little_above_that_of_the_fit():

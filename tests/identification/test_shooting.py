@@ -129,3 +129,11 @@ def test_presliding_is_no_longer_than_that_of_a_machine():
     start[k] = 2.0 * least_per_rev
     space = coordinates(start, PERIOD_S, ("stiffness_per_rev",), least_stiffness_per_rev=least_per_rev)
     assert to_physical(space.low, space.scale)[k] == pytest.approx(least_per_rev)
+
+
+def test_friction_at_speed_is_no_more_than_the_torque_had_room_for():
+    for name, bound in (("static_nm", "most_static_nm"), ("viscous_nm_per_rps", "most_viscous_nm_per_rps")):
+        k = PARAMETERS.index(name)
+        for most, wanted in ((1.5 * TRUTH[k], 1.5 * TRUTH[k]), (0.5 * TRUTH[k], TRUTH[k])):  # never below the start
+            space = coordinates(TRUTH, PERIOD_S, (name,), **{bound: most})
+            assert to_physical(space.high, space.scale)[k] == pytest.approx(wanted)
