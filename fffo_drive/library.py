@@ -40,6 +40,7 @@ from .identification.population import AgainstPopulation
 from .identification.tuning import Wish
 from .importing.log import read_log
 from .importing.read import RECORDINGS
+from .model.effects.registry import register_law as register_law
 from .model.parameters import ModelFile
 from .model.parameters import read_model as read_model
 from .model.parameters import write_model as write_model_file

@@ -51,8 +51,9 @@ def dispatcher_of(kernel: Kernel) -> Any:
             declarations.pop(0)()
         made = kernel.__dict__.get("dispatcher")
         if made is None:
-            made = numba.njit(kernel.py_func, cache=True, fastmath=False, forceinline=kernel.inline, **_OPTIONS)
-            made._cache = _KernelCache(kernel.py_func)
+            made = numba.njit(kernel.py_func, fastmath=False, forceinline=kernel.inline, **_OPTIONS)
+            if Path(kernel.py_func.__code__.co_filename).is_file():  # one that was typed at a prompt is not kept
+                made._cache = _KernelCache(kernel.py_func)
             kernel.__dict__["dispatcher"] = made
     return made
 

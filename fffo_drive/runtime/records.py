@@ -14,6 +14,7 @@ from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig, default_reactions
 from ..control.reference import Profile
 from ..control.set_point import SET_POINT_NAMES, SetPoint
+from ..model.effects.registry import LAWS, name_error
 from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
@@ -108,7 +109,9 @@ def of_parameters(number: int, block: Floats, model: ModelNote | None) -> Unnumb
 def of_effects(number: int, table: Floats) -> Unnumbered:
     """A table of compensated effects."""
     names, numbers = table_numbers(table)
-    return Unnumbered(number, RecordKind.EFFECTS, tuple(names), _floats(numbers), {"effects": effect_names(table)})
+    laws = effect_names(table)
+    data = {"effects": laws, "brought_by": {law: LAWS.brought_by(law) for law in laws if LAWS.brought_by(law)}}
+    return Unnumbered(number, RecordKind.EFFECTS, tuple(names), _floats(numbers), data)
 
 
 def of_profile(number: int, profile: Profile) -> Unnumbered:
@@ -218,7 +221,9 @@ def effects_of(record: RunRecord) -> Floats:
     try:
         return table_of(record.values, record.data["effects"])
     except KeyError as error:
-        raise ValueError(f"effects {record.number}: no effect is called {error} here") from None
+        name = error.args[0]
+        missing = name_error(name, record.data.get("brought_by", {}).get(name))
+        raise ValueError(f"effects {record.number}: {missing}") from None
 
 
 def memory_before(record: RunRecord) -> MemoryBefore:

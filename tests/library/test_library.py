@@ -24,7 +24,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = CONFIGS / "axis_simulated.yaml"
 NAMES = {
     "Axis", "MeasuredRun", "RunMetrics", "adopt", "diagnose", "evaluate", "identify", "read_axis", "read_facts",
-    "read_model", "read_run", "replay", "run", "simulate", "tune", "write_axis", "write_model",
+    "read_model", "read_run", "register_law", "replay", "run", "simulate", "tune", "write_axis", "write_model",
 }  # fmt: skip
 
 
