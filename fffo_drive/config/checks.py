@@ -18,7 +18,7 @@ from ..control.stability import (
     worst_margins,
 )
 from ..control.velocity_estimator import velocity_noise_rps
-from ..documents import refuse
+from ..documents import refuse, refuse_argument
 from ..drive.canopen.config import HOST_S, ONE_MASTER, chain_of, load_of
 from ..drive.canopen.current_limit import MAX_TORQUE, least_limit
 from ..drive.canopen.object_map import MappingError
@@ -303,7 +303,13 @@ def drive_limit_words(axis: AxisFile, model: ModelFile) -> list[str]:
     return limit_words(axis.controller.current_limit_a, limit)
 
 
-def require(path: str | Path, problems: list[str]) -> None:
-    """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned."""
+def require(path: str | Path, problems: list[str], argument: str | None = None) -> None:
+    """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned.
+
+    `argument`: the name of what was given in place of the file.
+    """
     parts = [problem.partition(": ") for problem in problems]
-    refuse(path, [(key, text) for key, _, text in parts])
+    pairs = [(key, text) for key, _, text in parts]
+    if argument is not None:
+        refuse_argument(argument, pairs)
+    refuse(path, pairs)

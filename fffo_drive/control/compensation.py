@@ -118,6 +118,22 @@ def table_numbers(table: Floats) -> tuple[list[str], Floats]:
     return names, np.concatenate(parts)
 
 
+class PortableEffects(NamedTuple):
+    """A table for another process, in which the kernels have other addresses."""
+
+    numbers: Floats
+    laws: tuple[str, ...]
+
+    @staticmethod
+    def of(table: Floats) -> PortableEffects:
+        """Of a table of this process."""
+        return PortableEffects(table_numbers(table)[1], tuple(effect_names(table)))
+
+    def table(self) -> Floats:
+        """The table for this process. Raises KeyError for a law that is not known in it."""
+        return table_of(list(self.numbers), self.laws)
+
+
 def table_of(numbers: Sequence[float], laws: Sequence[str]) -> Floats:
     """A table for this process: the inverse of `table_numbers`, with `effect_names`.
 

@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from ..arrays import Floats
+from ..control.compensation import PortableEffects
 from ..control.controller import ControllerConfig
 from ..control.envelope import LIMIT_CURRENT, LIMIT_I2T, LIMIT_SLEW, TRIP_NONE, TRIP_TEXTS
 from ..control.reference import Profile
 from ..drive.simulated.in_process import SimulatedDrive
 from ..drive.simulated.parameters import DeviceConfig, PlantConfig
+from ..model.effects.registry import LAWS
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.session import Session, SessionConfig
@@ -37,7 +39,8 @@ class Case(NamedTuple):
     seed: int
     plant: PlantConfig  # its seed is the case's
     device: DeviceConfig
-    session: SessionConfig  # the controller in it is replaced by the candidate's
+    session: SessionConfig  # the controller in it is replaced by the candidate's, the effects by those below
+    effects: PortableEffects
     profile: Profile
     candidates: tuple[Candidate, ...]
     yardstick: Yardstick
@@ -76,7 +79,8 @@ def simulate(case: Case, candidate: Candidate) -> tuple[Rows, int]:
     """Rows of one run, and the trip that ended it (envelope.TRIP_*)."""
     drive = SimulatedDrive(case.plant, case.device)
     drive.connect()
-    session = Session(drive, case.session._replace(controller=candidate.controller))
+    config = case.session._replace(controller=candidate.controller, effects=case.effects.table())
+    session = Session(drive, config)
     session.run_profile(case.profile, candidate.toggle)
     return RingReader(session.ring).read().rows, session.status(b.TRIP)
 
@@ -132,5 +136,7 @@ def run_campaign(
     if first is None:
         return []
     warm_up(first)
+    if any((LAWS.brought_by(name) or "").startswith("file ") for name in first.effects.laws):
+        workers = 1  # what register_law was told is known to this process alone
     found = over_cores(run_case, itertools.chain([first], remaining), workers, progress)
     return [evaluation for evaluations in found for evaluation in evaluations]

@@ -88,11 +88,15 @@ def make_plan(
 
 def checked_plan(
     path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None,
-    profile_file: str | Path | None = None,
+    profile_file: str | Path | None = None, argument: str | None = None,
 ) -> Plan:  # fmt: skip
-    """As `make_plan`, for files that were read already or changed since. Raises DocumentError."""
+    """As `make_plan`, for files that were read already or changed since. Raises DocumentError.
+
+    `argument`: what a message names instead of the axis file, whose lines are not what was given.
+    """
     of_profile = path if profile_file is None else Path(profile_file)
-    require(of_profile, length_problems(axis.profile, axis.loop))
+    of_argument = argument if profile_file is None else None
+    require(of_profile, length_problems(axis.profile, axis.loop), of_argument)
     profile = build_profile(axis.profile, axis.loop.period_s)
     problems = profile_problems(axis, profile) + motion_problems(axis, profile, model)
     if profile_file is not None:
@@ -102,7 +106,7 @@ def checked_plan(
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)
     proof = proof_problems(axis, model, toggles, profile)
     problems += proof + [text for text in velocity_problems(axis, model) if text not in proof]
-    require(path, problems)
+    require(path, problems, argument)
     return Plan(path, axis, model, profile)
 
 
