@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .library import (
         Axis,
+        ControlLaw,
+        LawInput,
         MeasuredRun,
         RunMetrics,
         adopt,
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
         export,
         identify,
         import_log,
+        margins,
         read_axis,
         read_facts,
         read_model,
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Axis",
+    "ControlLaw",
+    "LawInput",
     "MeasuredRun",
     "RunMetrics",
     "adopt",
@@ -46,6 +51,7 @@ __all__ = [
     "export",
     "identify",
     "import_log",
+    "margins",
     "read_axis",
     "read_facts",
     "read_model",

@@ -22,6 +22,8 @@ from .. import formats
 from ..config.axis import TOGGLES, default_axis, with_keys
 from ..config.commissioning import commissioned, permission
 from ..config.scenario import read_scenario, yardstick_of
+from ..control.own_law import ControlLaw as ControlLaw
+from ..control.own_law import LawInput as LawInput
 from ..daemon.serving import torque_on
 from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayReport
@@ -58,6 +60,8 @@ from .actions import close_the_loop as close_the_loop
 from .actions import commission as commission
 from .actions import export as export
 from .actions import import_log as import_log
+from .control_laws import margins as margins
+from .control_laws import with_controller
 from .measured import Axis as Axis
 from .measured import Floats, as_written, recorded
 from .measured import MeasuredRun as MeasuredRun
@@ -82,6 +86,7 @@ def simulate(
     model: ModelFile | None = None,
     profile: GivenProfile | None = None,
     effects: Mapping[str, Mapping[str, float]] | None = None,
+    controller: ControlLaw | None = None,
     seed: int | None = None,
 ) -> MeasuredRun:
     """Run an axis on its simulated drive in process, many times faster than real time, without writing a file.
@@ -91,7 +96,8 @@ def simulate(
     another model for the law; the simulated drive stays as it is. `profile`: the reference in rps at each tick, (n,), a
     section as in a file ({"kind": "sine", ...}), a kind that needs no more ("paper", "identify", "recipe", "frf"), or a
     file. `effects`: of the simulated drive instead of those in its file, parameters by effect
-    ({"cogging": {"amplitude_nm": 0.02}}; `fffo-drive config effects` lists them). `seed`: of the drive's noise.
+    ({"cogging": {"amplitude_nm": 0.02}}; `fffo-drive config effects` lists them). `controller`: a law of your own in
+    place of the file's. `seed`: of the drive's noise.
 
     Runs in threads use all cores: the loop holds no lock of Python. Raises DocumentError if the checks before a run
     refuse it.
@@ -105,7 +111,7 @@ def simulate(
     of_file = chosen is not axis and gains is None and model is None and profile is None
     chosen = chosen if model is None else replace(chosen, model=model)
     plan, friction = _plan(chosen, toggle, profile, None if of_file else "axis")
-    found = simulating.simulate(plan, friction, seed, effects)
+    found = simulating.simulate(plan._replace(controller=controller), friction, seed, effects)
     rows = found.rows
     active = np.flatnonzero(rows["profile_sample"] >= 0)
     rows = rows[int(active[0]) : int(active[-1]) + 1] if active.size else rows
@@ -119,16 +125,20 @@ def simulate(
 def run(
     axis: Axis | str | Path, out: str | Path | None = None, *, toggle: str | None = None,
     profile: GivenProfile | None = None, bus: str | None = None, uncommissioned: bool = False,
+    controller: ControlLaw | None = None,
 ) -> MeasuredRun:  # fmt: skip
     """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
 
     `out`: the recording (None: recording.directory of the axis file). `profile`: as for `simulate`. `bus` replaces the
-    bus of the file. `uncommissioned`: enable a drive that has no commissioning record. An axis that was changed since
-    it was read is refused: its recording holds its file (`write_axis`). Raises DriveError, DocumentError, OSError, and
-    RecordingGapError if the recording is incomplete.
+    bus of the file. `uncommissioned`: enable a drive that has no commissioning record. `controller`: a law of your own
+    in place of the file's; on a bus it has to be compiled, and to have the margins that the file asks for.
+
+    An axis that was changed since it was read is refused: its recording holds its file (`write_axis`). Raises
+    DriveError, DocumentError, OSError, and RecordingGapError if the recording is incomplete.
     """
     plan, chosen = _plan(as_written(axis), toggle, profile, None if profile is None else "axis")
     given = permission(plan.path, plan.axis, plan.model, uncommissioned)
+    plan = with_controller(plan, controller)
     name = f"{timestamp_name(plan.axis.name, time.time_ns())}.mcap"
     path = Path(out) if out is not None else Path(plan.axis.recording.directory) / name
     claim(path)
@@ -297,16 +307,20 @@ def adopt(
 def evaluate(
     scenario: str | Path | None = None, *, runs: Sequence[MeasuredRun | str | Path] = (),
     controllers: Sequence[str] | None = None, seeds: int | None = None, workers: int | None = None,
+    laws: Sequence[ControlLaw] = (),
 ) -> Summary:  # fmt: skip
     """Compare controllers: `.figure("true.ise", "pi+fffo+")` in rps^2 s, and all others, with intervals over seeds.
 
     `scenario`: a scenario file, run on the simulated drive in process. `runs`: recordings instead. Those of one
     controller count as seeds; a scenario that is given as well sets how they are evaluated; anything that makes the
-    comparison doubtful is a warning. `workers`: processes (None: one per core). Raises DocumentError, and ValueError
+    comparison doubtful is a warning. `workers`: processes (None: one per core). `laws`: of your own, compared with the
+    scenario's controllers under their names. Raises DocumentError, and ValueError
     if no seed ran to its end.
     """
     chosen = None if scenario is None else evaluating.narrowed(read_scenario(scenario), controllers, seeds)
     if runs:
+        if laws:
+            raise DocumentError("laws: they run on a scenario's simulated drive: leave runs= out")
         given = None if chosen is None else yardstick_of(chosen.file)
         _, evaluations, cautions = evaluate_recordings([str(path) for path in recorded(runs)], given)
         for caution in cautions:
@@ -314,17 +328,19 @@ def evaluate(
         return summarise(evaluations, None if chosen is None else chosen.file.percent_of)
     if chosen is None:
         raise DocumentError("evaluate: a scenario file or runs=[...] is needed")
-    return evaluating.evaluate(chosen, workers)
+    return evaluating.evaluate(chosen, workers, laws)
 
 
 def replay(
-    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], instead: str | Path | None = None
-) -> ReplayReport:
+    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], instead: str | Path | None = None, *,
+    controller: ControlLaw | None = None,
+) -> ReplayReport:  # fmt: skip
     """Run recordings through the control law and the envelope again: `.exact` is true if every command is the same.
 
     The same means bit for bit. `instead`: an axis or model file whose law is run on the recorded feedback; the
-    differences are in A. Raises DocumentError.
+    differences are in A. `controller`: the law of your own with which they were recorded; its config is the recorded
+    one. Raises DocumentError.
     """
     several = [runs] if isinstance(runs, MeasuredRun | str | Path) else list(runs)
     paths = replaying.with_continuations(recorded(several))
-    return replaying.replay_files(paths, None if instead is None else str(instead))
+    return replaying.replay_files(paths, None if instead is None else str(instead), controller)

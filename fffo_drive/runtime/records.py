@@ -12,9 +12,11 @@ from ..arrays import Floats
 from ..control.compensation import effect_names, table_numbers, table_of
 from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig, default_reactions
+from ..control.own_law import ControlLaw
 from ..control.reference import Profile
 from ..control.set_point import SET_POINT_NAMES, SetPoint
 from ..model.effects.registry import LAWS, name_error
+from ..packing import flat_names, pack
 from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
@@ -100,9 +102,12 @@ def of_model(number: int, model: ModelNote) -> Unnumbered:
     return Unnumbered(number, RecordKind.MODEL, (), (), model._asdict())
 
 
-def of_parameters(number: int, block: Floats, model: ModelNote | None) -> Unnumbered:
-    """A packed controller block, and the model from which it was made."""
-    data = {} if model is None else {"model": model.content_hash}
+def of_parameters(number: int, block: Floats, model: ModelNote | None, own_law: ControlLaw | None = None) -> Unnumbered:
+    """A packed controller block, the model from which it was made, and the law of a user that acts in its place."""
+    data: dict[str, Any] = {} if model is None else {"model": model.content_hash}
+    if own_law is not None:
+        numbers = dict(zip(flat_names(type(own_law.config)), pack(own_law.config).tolist(), strict=True))
+        data["controller"] = {"name": own_law.name, "file": own_law.file, "config": numbers}
     return Unnumbered(number, RecordKind.PARAMETERS, CONTROLLER_NAMES, _floats(block), data)
 
 

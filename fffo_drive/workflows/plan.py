@@ -23,6 +23,7 @@ from ..config.profile_sections import ProfileSection
 from ..config.runaway import runaway_problems
 from ..config.sections import length_problems
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
+from ..control.own_law import ControlLaw
 from ..control.reference import Profile
 from ..documents import StrictRecord, check, parse, read_text, refuse, require_named
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
@@ -45,6 +46,7 @@ class Plan(NamedTuple):
     axis: AxisFile
     model: ModelFile
     profile: Profile
+    controller: ControlLaw | None = None  # of a user, in place of the file's
 
     @property
     def toggle(self) -> int:
@@ -153,7 +155,8 @@ def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
     """The session of a plan."""
     from ..config.session import session_config
 
-    return session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
+    config = session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
+    return config._replace(own_law=plan.controller)
 
 
 def effect_monitor(plan: Plan) -> EffectMonitor | None:

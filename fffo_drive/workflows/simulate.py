@@ -16,7 +16,7 @@ from ..evaluation.metrics import Rows
 from ..recording.ring_reader import RingReader
 from ..runtime import blocks as b
 from ..runtime.runs import simulated_ring_rows
-from ..runtime.session import Session
+from ..runtime.session import Session, raise_failure
 from .plan import Plan, plan_session
 
 
@@ -46,6 +46,7 @@ def simulate(
     ring_rows = simulated_ring_rows(plan.profile, plan.axis.loop.tail_s)
     with Session(drive, plan_session(plan, ring_rows)) as session:
         session.run_profile(plan.profile, toggle)
+        raise_failure(session)
         trip = session.status(b.TRIP)
         rows = RingReader(session.ring).read().rows
     return Simulated(rows, None if trip == TRIP_NONE else TRIP_TEXTS[trip])
