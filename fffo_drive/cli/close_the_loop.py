@@ -36,7 +36,7 @@ from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
 from ..workflows.circle_runs import CircleWish
 from .adopt import exit_code, print_gates, refusal
 from .exits import EXIT_NOT_CONFIRMED
-from .progress import progress_bar
+from .progress import progress_bar, table_console
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +120,7 @@ def _print(source: CircleSource, page: Path) -> None:
     for name, before, after in _rows(source.tracking):
         change_text = "-" if after is None else f"{100.0 * (after / before - 1.0):+.1f} %"
         table.add_row(name, f"{before:.4g}", "-" if after is None else f"{after:.4g}", change_text)
-    Console().print(table)
+    table_console().print(table)
     print(page.parent / "diagnosis" / "report.html")
     print(page.parent / "axis.yaml")
     print(page)

@@ -56,13 +56,17 @@ def test_a_loop_that_came_too_late_and_a_run_that_stopped_early_are_drawn_and_sa
 
 def test_runs_of_one_controller_with_two_models_are_two(monkeypatch):
     def recorded(names):
-        monkeypatch.setattr(evaluate_live, "recorded_files", lambda run: (None, SimpleNamespace(name=run.model)))
+        effects = {"new": ["cogging"]}
+        model_of = {name: SimpleNamespace(name=name, effects=effects.get(name, ())) for _, name in names}
+        monkeypatch.setattr(evaluate_live, "recorded_files", lambda run: (None, model_of[run.model]))
         monkeypatch.setattr(evaluate_live, "controller_name", lambda run: run.controller)
         return evaluate_live.controller_names(
             [SimpleNamespace(controller=name, model=model, metadata={}) for name, model in names]
         )
 
-    assert recorded([("pi", "old"), ("pi+", "old"), ("pi+", "new")]) == ["pi", "pi+, old", "pi+, new"]
+    assert recorded([("pi", "old"), ("pi+", "old"), ("pi+", "new")]) == ["pi", "pi+, before", "pi+, after"]
+    assert recorded([("pi", "new"), ("pi", "old"), ("pi", "old")]) == ["after", "before", "before"]
+    assert recorded([("pi", "old"), ("pi", "other")]) == ["pi, old", "pi, other"]
     assert recorded([("pi", "old"), ("pi", "old")]) == ["pi", "pi"]
 
 
