@@ -44,7 +44,7 @@ COMMANDS = {
     "manual": (".manual.command", "open the manual, or build its pages"),  # a layer above: it reads all other commands
 }
 
-COMPILES = "compiling the loop for this machine, once for each version: half a minute, longer on a busy machine"
+COMPILES = "compiling for this machine, once for each version: half a minute, longer on a busy machine"
 DESCRIPTION = """\
 Real-time velocity controller for BLDC servo axes over CANopen: PI plus feed-forward friction observer.
 

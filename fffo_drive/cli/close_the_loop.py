@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..documents import DocumentError
-from ..report.circle import CircleSource, Tracking, as_object
+from ..report.circle import KINDS, CircleSource, Tracking, as_object
 from ..runtime.runs import timestamp_name
 from ..workflows.adoption_gates import Gate
 from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
@@ -131,4 +131,4 @@ def _rows(tracking: Tracking) -> Iterator[tuple[str, float, float | None]]:
     for kind, pair in tracking.metrics.items():
         for key, unit in (("ise", "rps^2 s"), ("mae", "rps"), ("max", "rps")):
             after = None if pair.after is None else float(getattr(pair.after, key))
-            yield f"{kind} {key.upper()} {unit}", float(getattr(pair.before, key)), after
+            yield f"{KINDS[kind]}: {key.upper()} {unit}", float(getattr(pair.before, key)), after

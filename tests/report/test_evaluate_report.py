@@ -4,7 +4,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from fffo_drive.cli.evaluate import print_summary
 from fffo_drive.evaluation.campaign import evaluation_of
 from fffo_drive.evaluation.measures import Yardstick
 from fffo_drive.evaluation.summary import summarise
@@ -155,3 +157,19 @@ def test_a_published_law_that_is_best_is_not_for_an_axis_file():
     verdict = report_of(*runs, published=frozenset({"dob+"})).verdict
     assert (verdict.finding, verdict.next_step) == ("dob+ is best", "compare")
     assert verdict.lines[-1].text.endswith("The best of the scenario's own controllers is pi.")
+
+
+def test_the_page_judges_by_the_measured_velocity_and_names_the_shafts():
+    report = report_of(run("before", range(SAMPLES), 0.02), run("after", range(SAMPLES), 0.01))
+    assert report.verdict.headline.startswith("after has the smallest squared error against measured velocity: 2")
+    assert report.verdict.reasons[0] == "ISE against measured velocity: after < before."
+    assert all("true velocity" not in table.title for table in report.tables)
+
+
+def test_a_table_in_a_pipe_keeps_its_digits_however_long_a_name_is(capsys):
+    name = "pi with a name of a hundred letters" * 3
+    print_summary(summarise([run(name, range(SAMPLES), 0.0123), run("pi", range(SAMPLES), 0.02)]))
+    printed = capsys.readouterr().out
+    line = next(line.strip() for line in printed.splitlines() if name in line)
+    assert "…" not in printed
+    assert float(line.removeprefix(name).split()[2]) == pytest.approx(0.0123, rel=0.01)
