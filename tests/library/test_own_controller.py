@@ -45,12 +45,15 @@ def pi_step(config: Gains, state: Memory, seen: fd.LawInput) -> tuple[float, Mem
     return config.proportional_a_per_rps * seen.error_rps + integral_a + forward_a, Memory(integral_a)
 
 
+COMPILED = njit(pi_step)
+
+
 def law(compiled: bool, **changes: Any) -> fd.ControlLaw:
     axis = fd.read_axis(AXIS)
     section = axis.file.controller
     inertia = axis.model.axis_config().inertia_nm_s2_per_rev
     gains = Gains(section.proportional_a_per_rps, section.integral_a_per_rev, inertia)
-    return fd.ControlLaw("my pi", gains, Memory(0.0), njit(pi_step) if compiled else pi_step).change(**changes)
+    return fd.ControlLaw("my pi", gains, Memory(0.0), COMPILED if compiled else pi_step).change(**changes)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +124,7 @@ def test_what_a_step_raises_stops_the_axis_and_is_raised_here():
 )
 def test_a_law_that_cannot_be_packed_is_refused(config, state, said):
     with pytest.raises(DocumentError, match=f"controller 'x': {said}"):
-        fd.ControlLaw("x", config, state, njit(pi_step))
+        fd.ControlLaw("x", config, state, COMPILED)
 
 
 def test_a_step_that_does_not_compile_is_an_error_of_the_argument():
@@ -170,3 +173,12 @@ def test_an_own_law_is_a_row_of_an_evaluation(tmp_path):
     assert found.figure("measured.ise", "soft") > found.figure("measured.ise", "my pi")
     with pytest.raises(DocumentError, match="two controllers are called 'my pi'"):
         fd.evaluate(path, laws=[law(True), law(False)])
+
+
+def test_a_drive_on_a_bus_is_not_run_with_a_law_that_is_slow_or_without_margins(tmp_path):
+    axis, out = CONFIGS / "axis_canopen.yaml", tmp_path / "own.mcap"
+    with pytest.raises(DocumentError, match="controller 'my pi': a drive needs it compiled: put @njit"):
+        fd.run(axis, out, controller=law(compiled=False), uncommissioned=True)
+    with pytest.raises(DocumentError, match=r"controller 'my pi': its margins are -?\d.* below phase_margin_deg"):
+        fd.run(axis, out, controller=law(True, proportional_a_per_rps=9.0), uncommissioned=True)
+    assert not out.exists()
