@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 
 from .. import __version__
@@ -98,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from ..jit import say_when_compiling
 
             say_when_compiling(lambda: print(COMPILES, file=sys.stderr, flush=True))
+            warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
         try:
             module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
             return int(module.execute(parser_of(command).parse_args(words[words.index(command) + 1 :])))

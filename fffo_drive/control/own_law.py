@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -94,8 +95,8 @@ class ControlLaw:
 
     @property
     def compiled(self) -> bool:
-        """Whether its step is compiled into the loop."""
-        return isinstance(self.step, Kernel) or INTERPRETED
+        """Whether its step is compiled into the loop; without compilation at all, whether it could be."""
+        return isinstance(self.step, Kernel) or (INTERPRETED and hasattr(self.at_rest, "_fields"))
 
     @property
     def file(self) -> str:
@@ -115,8 +116,9 @@ class ControlLaw:
         block = no_own_law()
         block[USED] = 1.0
         if not self.compiled:
-            block[ADDRESS], block[CONFIG] = vectors_address(_python_kernel()), len(_called)
-            _called.append(self)
+            number = next(_numbers)
+            _called[number] = self
+            block[ADDRESS], block[CONFIG] = vectors_address(_python_kernel()), number
             return block
         config, memory = pack(self.config), pack(self.at_rest)
         block[CONFIG : CONFIG + config.size] = config
@@ -131,6 +133,13 @@ class ControlLaw:
                 f"functions with @njit, and returns (current in A, state): {text}"
             ) from error
         return block
+
+
+def require_law(name: str, law: object) -> None:
+    """Raise DocumentError for an argument of this name that is no law."""
+    if not isinstance(law, ControlLaw):
+        what = "function" if callable(law) else type(law).__name__
+        raise DocumentError(f"{name}: a {what} where a fd.ControlLaw(name, config, at_rest, step) is needed")
 
 
 def _require_numbers(what: str, record: Any) -> None:
@@ -187,7 +196,8 @@ _input_of = reader(LawInput, "read_law_input")
 _read_input = njit(_input_of)
 _write_input = njit(writer(LawInput, "write_law_input"))
 
-_called: list[ControlLaw] = []  # laws at the speed of Python, by the number in their blocks
+_numbers = itertools.count()
+_called: dict[int, ControlLaw] = {}  # laws at the speed of Python, by the number in their blocks
 _states: dict[int, Any] = {}  # their states, by the address of the loop's memory for them
 _failures: dict[int, BaseException] = {}  # ... and what their steps raised
 

@@ -111,7 +111,7 @@ def simulate(
     of_file = chosen is not axis and gains is None and model is None and profile is None
     chosen = chosen if model is None else replace(chosen, model=model)
     plan, friction = _plan(chosen, toggle, profile, None if of_file else "axis")
-    found = simulating.simulate(plan._replace(controller=controller), friction, seed, effects)
+    found = simulating.simulate(with_controller(plan, controller), friction, seed, effects)
     rows = found.rows
     active = np.flatnonzero(rows["profile_sample"] >= 0)
     rows = rows[int(active[0]) : int(active[-1]) + 1] if active.size else rows

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..config.checks import law_margins, own_margins
 from ..config.drive_section import SimulatedDriveSection
-from ..control.own_law import ControlLaw
+from ..control.own_law import ControlLaw, require_law
 from ..control.stability import Margins
 from ..documents import DocumentError
 from ..workflows.plan import Plan
@@ -22,6 +22,8 @@ def margins(axis: Axis | str | Path, controller: ControlLaw | None = None, *, sp
     numbers. None: the law of the axis. Raises DocumentError.
     """
     chosen = axis if isinstance(axis, Axis) else read_axis(axis)
+    if controller is not None:
+        require_law("controller", controller)
     if controller is None:
         return law_margins(chosen.file, chosen.model, chosen.file.controller.observer.toggle != "off")
     return own_margins(chosen.file, chosen.model, controller, speed_rps)
@@ -29,6 +31,8 @@ def margins(axis: Axis | str | Path, controller: ControlLaw | None = None, *, sp
 
 def with_controller(plan: Plan, law: ControlLaw | None) -> Plan:
     """The plan with a law of a user's own, if the drive may be run with it. Raises DocumentError."""
+    if law is not None:
+        require_law("controller", law)
     if law is None or isinstance(plan.axis.drive, SimulatedDriveSection):
         return plan._replace(controller=law)
     if not law.compiled:

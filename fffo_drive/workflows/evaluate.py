@@ -10,7 +10,7 @@ from functools import partial
 from ..config.axis import controller_config
 from ..config.scenario import Scenario, case_of, cases_of, select_controllers
 from ..control.friction_observer import TOGGLE_OFF
-from ..control.own_law import ControlLaw
+from ..control.own_law import ControlLaw, require_law
 from ..documents import DocumentError
 from ..evaluation.campaign import Candidate, Evaluation, run_campaign, run_case, warm_up
 from ..evaluation.summary import Summary, summarise
@@ -57,6 +57,8 @@ def run_published(
 
 def run_own_laws(scenario: Scenario, laws: Sequence[ControlLaw]) -> list[Evaluation]:
     """Laws of a user's own on every seed, in threads of this process, which knows them. Raises DocumentError."""
+    for law in laws:
+        require_law("laws", law)
     names = [*scenario.file.controllers, *(law.name for law in laws)]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

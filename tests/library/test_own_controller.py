@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -125,6 +126,23 @@ def test_what_a_step_raises_stops_the_axis_and_is_raised_here():
 def test_a_law_that_cannot_be_packed_is_refused(config, state, said):
     with pytest.raises(DocumentError, match=f"controller 'x': {said}"):
         fd.ControlLaw("x", config, state, COMPILED)
+
+
+def test_a_bare_function_is_no_law():
+    with pytest.raises(DocumentError, match=r"controller: a function where a fd.ControlLaw"):
+        fd.simulate(AXIS, profile=SHORT, controller=pi_step)
+    with pytest.raises(DocumentError, match="controller: a function where"):
+        fd.margins(AXIS, pi_step)
+
+
+def test_laws_at_the_speed_of_python_keep_their_states_apart_in_threads(plain):
+    laws = [law(compiled=False, proportional_a_per_rps=gain) for gain in (0.4, 0.6, 0.8)]
+
+    def ise(one):
+        return fd.simulate(plain, profile=SHORT, seed=1, controller=one).metrics.shaft.ise
+
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(ise, laws)) == [ise(one) for one in laws]
 
 
 def test_a_step_that_does_not_compile_is_an_error_of_the_argument():
