@@ -169,7 +169,8 @@ def _compiled_kernel(step: Step, config: Any, state: Any) -> VectorKernel:
     file = Path(code.co_filename)
     # compiled readers are kept on disk by their names: those of another law, or of another version, have others
     origin = file.read_bytes() if file.is_file() else repr((id(step), np.random.default_rng().bytes(16))).encode()
-    digest = hashlib.sha256(origin + repr((config.__qualname__, state.__qualname__)).encode()).hexdigest()[:16]
+    records = [(one.__module__, one.__qualname__, one.__annotations__) for one in (config, state)]
+    digest = hashlib.sha256(origin + repr(records).encode()).hexdigest()[:16]
     space = {
         "step": step,
         "read_config": njit(reader(config, f"read_config_{digest}")),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -200,3 +203,47 @@ def test_a_drive_on_a_bus_is_not_run_with_a_law_that_is_slow_or_without_margins(
     with pytest.raises(DocumentError, match=r"controller 'my pi': its margins are -?\d.* below phase_margin_deg"):
         fd.run(axis, out, controller=law(True, proportional_a_per_rps=9.0), uncommissioned=True)
     assert not out.exists()
+
+
+LAW_SCRIPT = """
+import hashlib
+from typing import NamedTuple
+import numpy as np
+import fffo_drive as fd
+from fffo_drive.jit import njit
+
+class Gain(NamedTuple):
+    gain: KIND
+
+class Nothing(NamedTuple):
+    memory: float
+
+@njit
+def step(config, state, seen):
+    return config.gain * seen.error_rps, state
+
+LAW = fd.ControlLaw("p", Gain(0.75), Nothing(0.0), step)
+
+def asked_a():
+    run = fd.simulate(AXIS, profile=np.full(200, 0.5), seed=1, controller=LAW)
+    return float(np.abs(run["requested_a"]).max())
+
+if __name__ == "__main__":
+    print(asked_a())
+"""
+
+
+def test_a_law_is_the_same_as_a_script_and_as_a_module_and_an_edit_is_not_taken_from_the_cache(tmp_path):
+    def said(kind, *words):
+        (tmp_path / "p_law.py").write_text(LAW_SCRIPT.replace("KIND", kind).replace("AXIS", repr(str(AXIS))))
+        root = str(CONFIGS.parent)
+        environment = dict(os.environ, PYTHONPATH=os.pathsep.join([str(tmp_path), root]))
+        done = subprocess.run([sys.executable, *words], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return float(done.stdout)
+
+    script, module = ("p_law.py",), ("-c", "import p_law; print(p_law.asked_a())")
+    first = said("float", *script)
+    assert first > 0.1
+    assert said("float", *module) == first
+    assert said("int", *script) == 0.0  # a gain of whole numbers

@@ -86,7 +86,9 @@ class Laws(Mapping[str, Law]):
         """Add a law, or put it in the place of its own former version. Raises DocumentError with what is wrong."""
         with self._loading:
             there = self._laws.get(law.name)
-            if there is law:
+            if there is law:  # its module may also have registered it while the entry point was loaded
+                if law.name in self._brought_by and brought_by.startswith("package "):
+                    self._brought_by[law.name] = brought_by
                 return
             if there is not None and _place_of(there) != _place_of(law):
                 whose = self._brought_by.get(law.name, "fffo-drive")
