@@ -17,4 +17,4 @@ axis = fd.read_axis(sys.argv[1])
 gains = np.linspace(0.7, 1.1, 50) * axis.file.controller.proportional_a_per_rps
 with ThreadPoolExecutor(os.cpu_count()) as cores:
     for gain, found in zip(gains, cores.map(ise, gains), strict=True):
-        print(f"Kp {gain:.3f} A/rps: ISE {found:.5f} rps^2 s")
+        print(f"Kp {gain:.3f} A/rps: ISE {found:.7f} rps^2 s")
