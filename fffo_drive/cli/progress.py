@@ -19,9 +19,10 @@ UNBOUNDED_COLUMNS = 10_000  # of a pipe or a file: no cell of a table is cut the
 
 
 def table_console(stderr: bool = False) -> Console:
-    """A console for tables, which keep all their digits where it is no terminal."""
+    """A console for tables, which keep all their digits where it is no terminal and COLUMNS sets no width."""
     console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=UNBOUNDED_COLUMNS)
+    bounded = console.is_terminal or "COLUMNS" in os.environ
+    return console if bounded else Console(stderr=stderr, width=UNBOUNDED_COLUMNS)
 
 
 @contextlib.contextmanager

@@ -166,7 +166,8 @@ def test_the_page_judges_by_the_measured_velocity_and_names_the_shafts():
     assert all("true velocity" not in table.title for table in report.tables)
 
 
-def test_a_table_in_a_pipe_keeps_its_digits_however_long_a_name_is(capsys):
+def test_a_table_in_a_pipe_keeps_its_digits_however_long_a_name_is(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
     name = "pi with a name of a hundred letters" * 3
     print_summary(summarise([run(name, range(SAMPLES), 0.0123), run("pi", range(SAMPLES), 0.02)]))
     printed = capsys.readouterr().out
