@@ -261,6 +261,13 @@ def up_to_date(data: Any, kind: str | None, name: str, lines: dict[Location, int
         raise DocumentError(f"{name}:{_line_of(lines or {}, ('format',))}: format: {error}") from None
 
 
+def refuse_argument(name: str, problems: Iterable[tuple[str, str]]) -> None:
+    """Raise DocumentError, if there are any (dotted key, what is wrong with it), of an argument that no file holds."""
+    found = list(problems)
+    if found:
+        raise DocumentError("\n".join(f"{name}: {key}: {text}" for key, text in found))
+
+
 def refuse(path: str | Path, problems: Iterable[tuple[str, str]], lines: dict[Location, int] | None = None) -> None:
     """Raise DocumentError, if there are any (dotted key, what is wrong with it): FILE:LINE: KEY: TEXT each.
 

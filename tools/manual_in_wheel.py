@@ -1,7 +1,8 @@
 """Put the built manual into a wheel: a hook of hatchling.
 
 It needs the extra `manual` and the program's own dependencies, in the environment that builds or in the clone's .venv.
-Where neither has them the wheel is built without pages, with a warning; `fffo-drive manual` then says what to do.
+Where neither has them the build fails with the line that installs them; FFFO_DRIVE_WITHOUT_MANUAL=1 in the environment
+builds without pages.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 NEEDED = "import sphinx, myst_parser, furo, sphinx_copybutton, matplotlib, numba, pydantic, canopen, mcap"
 WITHOUT = (
-    "this wheel has no manual inside: its tools are not installed here. In a clone type `tools/environment test` and "
-    "build the wheel again"
+    "the wheel would have no manual inside: its tools are not installed here. Type `tools/environment test` in the "
+    "clone, and build again; for a wheel without a manual set FFFO_DRIVE_WITHOUT_MANUAL=1"
 )
 
 
@@ -28,8 +29,8 @@ class ManualHook(BuildHookInterface):
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add the pages as fffo_drive/manual/built. Raises RuntimeError where the pages have an error."""
-        if version == "editable":
+        """Add the pages as fffo_drive/manual/built. Raises RuntimeError where they cannot be made."""
+        if version == "editable" or os.environ.get("FFFO_DRIVE_WITHOUT_MANUAL"):
             return
         root = Path(self.root)
         environment = dict(os.environ, PYTHONPATH=str(root))
@@ -48,4 +49,4 @@ class ManualHook(BuildHookInterface):
                 raise RuntimeError(f"the manual cannot be built: {done.stderr.strip()}")
             build_data["force_include"][str(out)] = "fffo_drive/manual/built"
             return
-        self.app.display_warning(WITHOUT)
+        raise RuntimeError(WITHOUT)

@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 
 from .. import __version__
@@ -44,6 +45,7 @@ COMMANDS = {
     "manual": (".manual.command", "open the manual, or build its pages"),  # a layer above: it reads all other commands
 }
 
+COMPILES = "compiling for this machine, once for each version: half a minute, longer on a busy machine"
 DESCRIPTION = """\
 Real-time velocity controller for BLDC servo axes over CANopen: PI plus feed-forward friction observer.
 
@@ -93,6 +95,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         # files are checked by their own rules alone, and no installed package is searched for others
         os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+        if arguments is None:  # of a process of its own
+            from ..jit import say_when_compiling
+
+            say_when_compiling(lambda: print(COMPILES, file=sys.stderr, flush=True))
+            warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
         try:
             module = importlib.import_module(f".{COMMANDS[command][0]}", __package__)
             return int(module.execute(parser_of(command).parse_args(words[words.index(command) + 1 :])))

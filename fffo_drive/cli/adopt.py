@@ -17,7 +17,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from ..config.axis import read_axis
@@ -26,6 +25,7 @@ from ..documents import DocumentError
 from ..workflows.adopt import adopt, roll_back
 from ..workflows.adoption_gates import DISABLED, HELD_OUT, SAME_AXIS, Gate
 from .exits import EXIT_BAD_INPUT, EXIT_DRIVE_FAULT, EXIT_NOT_CONFIRMED, EXIT_REFUSED
+from .progress import table_console
 
 # the first that applies, in this order
 EXIT_OF_GATE = {SAME_AXIS: EXIT_BAD_INPUT, DISABLED: EXIT_DRIVE_FAULT, HELD_OUT: EXIT_NOT_CONFIRMED}
@@ -101,7 +101,7 @@ def print_gates(found: Sequence[Gate], stderr: bool = False) -> None:
         table.add_column(column)
     for gate in found:
         table.add_row(gate.name, "[green]passed[/]" if gate.passed else "[red]REFUSED[/]", gate.text)
-    Console(soft_wrap=False, stderr=stderr).print(table)
+    table_console(stderr).print(table)
 
 
 def _roll_back(axis_path: Path, as_json: bool) -> int:

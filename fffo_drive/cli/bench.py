@@ -30,12 +30,12 @@ from ..config.scenario import Scenario, axis_of, on_axis, read_scenario
 from ..documents import refuse
 from ..evaluation.metrics import METRIC_UNITS, PAPER_TABLE_2, TickStatistics, bases_of, percent_of_bases
 from ..recording.reader import read_run
-from ..report.bench import BenchRecord, BenchResult, evaluate, write_bench_report
+from ..report.bench import BenchRecord, BenchResult, evaluate, timing_cautions, write_bench_report
 from ..runtime.runs import timestamp_name
 from ..system.service_files import sources
 from ..workflows.evaluate_live import runs_on_bus
 from ..workflows.plan import make_plan
-from .progress import progress_bar
+from .progress import progress_bar, table_console
 
 QUICK_S = 10.0
 PRINTED, NEAREST = ("axis_bench.yaml", "simulated_drive.yaml"), ("axis_nearest.yaml", "simulated_nearest.yaml")
@@ -121,9 +121,11 @@ def _report(records: dict[str, BenchRecord], result: BenchResult, page: Path, as
     if as_json:
         print(json.dumps({**as_object(result), "files": files, "report": str(page)}, indent=2))
         return
-    console = Console()
+    console = table_console()
     console.print(_metrics_table(result))
     console.print(_ticks_table(result))
+    for text in timing_cautions(result):
+        console.print(f"caution: {text}", highlight=False, soft_wrap=True)
     for file in files:
         console.print(file, highlight=False, soft_wrap=True)
     console.print(f"report: {page}", highlight=False, soft_wrap=True)

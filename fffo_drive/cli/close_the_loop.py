@@ -29,14 +29,14 @@ from rich.console import Console
 from rich.table import Table
 
 from ..documents import DocumentError
-from ..report.circle import CircleSource, Tracking, as_object
+from ..report.circle import KINDS, CircleSource, Tracking, as_object
 from ..runtime.runs import timestamp_name
 from ..workflows.adoption_gates import Gate
 from ..workflows.circle import QUICK_S, close_the_loop, keeps_no_rate
 from ..workflows.circle_runs import CircleWish
 from .adopt import exit_code, print_gates, refusal
 from .exits import EXIT_NOT_CONFIRMED
-from .progress import progress_bar
+from .progress import progress_bar, table_console
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +120,7 @@ def _print(source: CircleSource, page: Path) -> None:
     for name, before, after in _rows(source.tracking):
         change_text = "-" if after is None else f"{100.0 * (after / before - 1.0):+.1f} %"
         table.add_row(name, f"{before:.4g}", "-" if after is None else f"{after:.4g}", change_text)
-    Console().print(table)
+    table_console().print(table)
     print(page.parent / "diagnosis" / "report.html")
     print(page.parent / "axis.yaml")
     print(page)
@@ -131,4 +131,4 @@ def _rows(tracking: Tracking) -> Iterator[tuple[str, float, float | None]]:
     for kind, pair in tracking.metrics.items():
         for key, unit in (("ise", "rps^2 s"), ("mae", "rps"), ("max", "rps")):
             after = None if pair.after is None else float(getattr(pair.after, key))
-            yield f"{kind} {key.upper()} {unit}", float(getattr(pair.before, key)), after
+            yield f"{KINDS[kind]}: {key.upper()} {unit}", float(getattr(pair.before, key)), after

@@ -32,6 +32,7 @@ from ..workflows.errors import DriveFaultError
 from ..workflows.plan import Plan
 from ..workflows.progress import CHECK_MARK, LINES_ENVIRONMENT, QUESTION_MARK
 from .exits import UnconfirmedError
+from .progress import table_console
 from .reset import add_reset_option
 
 PICTURE_POINTS = 300  # of a motion, for a page
@@ -178,7 +179,7 @@ def next_line(record: CommissioningRecord, plan: Plan, out: Path) -> str:
 
 
 def _print(record: CommissioningRecord, plan: Plan, out: Path) -> None:
-    console = Console()
+    console = table_console()
     console.print(f"[bold]{record.axis}: {escape(verdict_line(record))}[/]", soft_wrap=True, highlight=False)
     console.print(f"next: {escape(next_line(record, plan, out))}", soft_wrap=True, highlight=False)
     drive = record.drive

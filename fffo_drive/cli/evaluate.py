@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.table import Table
 
 from ..config.commissioning import permission
@@ -37,13 +36,13 @@ from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
 from ..report.document import SourceFile, provenance, source_file
-from ..report.evaluate import METRICS, EvaluationSource, evaluation_report, missing_text
+from ..report.evaluate import KINDS, METRICS, EvaluationSource, evaluation_report, missing_text
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
 from ..workflows.errors import DriveFaultError
 from ..workflows.evaluate import narrowed, run_published, run_seeds
-from ..workflows.evaluate_live import evaluate_on_bus, evaluate_recordings
-from .progress import progress_bar
+from ..workflows.evaluate_live import BEFORE, evaluate_on_bus, evaluate_recordings
+from .progress import progress_bar, table_console
 
 
 class Compared(NamedTuple):
@@ -202,7 +201,9 @@ def _compared_recordings(files: Sequence[str], scenario: Scenario | None) -> Com
         "Recorded runs; runs of one controller count as seeds, in the order given.",
         evaluations,
         yardstick,
-        None if scenario is None else scenario.file.percent_of,
+        (BEFORE if any(one.candidate == BEFORE for one in evaluations) else None)
+        if scenario is None
+        else scenario.file.percent_of,
         cautions,
         [source_file(Path(name).name, Path(name).read_bytes()) for name in files],
     )
@@ -210,12 +211,12 @@ def _compared_recordings(files: Sequence[str], scenario: Scenario | None) -> Com
 
 def print_summary(summary: Summary) -> None:
     """The metrics on the terminal."""
-    console = Console()
-    for kind in ("measured", "true"):
+    console = table_console()
+    for kind in KINDS:
         if f"{kind}.ise" not in summary.figures:
             continue
         base = summary.figures[f"{kind}.ise"].base
-        title = f"error against {kind} velocity (rps, ISE rps² s), and % of {base}"
+        title = f"error against {KINDS[kind]} (rps, ISE rps² s), and % of {base}"
         table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, collapse_padding=True)
         table.add_column("", no_wrap=True)
         for title in (*METRICS.values(), "lag ms"):

@@ -15,6 +15,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from ..workflows.progress import LINE_MARK, LINES_ENVIRONMENT, Share
 
 QUIET_S = 10.0  # between two lines where there is no terminal
+UNBOUNDED_COLUMNS = 10_000  # of a pipe or a file: no cell of a table is cut there, and no line is broken
+
+
+def table_console(stderr: bool = False) -> Console:
+    """A console for tables, which keep all their digits where it is no terminal and COLUMNS sets no width."""
+    console = Console(stderr=stderr)
+    bounded = console.is_terminal or "COLUMNS" in os.environ
+    return console if bounded else Console(stderr=stderr, width=UNBOUNDED_COLUMNS)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..can.load import Chain, Load
+from ..control.own_law import ControlLaw, LawInput
+from ..control.own_law_margins import own_law_margins
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY, Profile, profile_bounds
 from ..control.stability import (
     RIGID,
@@ -18,7 +20,7 @@ from ..control.stability import (
     worst_margins,
 )
 from ..control.velocity_estimator import velocity_noise_rps
-from ..documents import refuse
+from ..documents import refuse, refuse_argument
 from ..drive.canopen.config import HOST_S, ONE_MASTER, chain_of, load_of
 from ..drive.canopen.current_limit import MAX_TORQUE, least_limit
 from ..drive.canopen.object_map import MappingError
@@ -28,7 +30,7 @@ from ..identification.excitation import predict_motion
 from ..identification.tuning import resonance_text
 from ..model.parameters import ModelFile
 from ..units import NS_PER_S
-from .axis import AxisFile, hold_dead_band_rev, loop_axis
+from .axis import AxisFile, controller_config, hold_dead_band_rev, loop_axis
 from .drive_section import CanopenDriveSection
 from .resolution import resolution_of
 from .sections import EnvelopeSection, VelocitySection
@@ -49,6 +51,17 @@ def law_margins(axis: AxisFile, model: ModelFile, observer_on: bool) -> Margins:
         section.integral_a_per_rev,
         gain,
     )
+
+
+def own_margins(axis: AxisFile, model: ModelFile, law: ControlLaw, speed_rps: float) -> Margins:
+    """Margins of a user's law on the axis of this file, at one speed. It gets the error without filter and notches."""
+    config = controller_config(axis, model)
+    seen = LawInput(
+        config.period_s, speed_rps, 0.0, speed_rps, 0.0, speed_rps, speed_rps, 0.0, 0.0, 0.0,
+        config.torque_constant_nm_per_a, config.current_limit_a, False,
+    )  # fmt: skip
+    loop = loop_axis(axis, model)._replace(error_filter_s=0.0, notches=(), estimator=None)
+    return own_law_margins(law, loop, seen)
 
 
 def _delay_ms(axis: AxisFile, model: ModelFile) -> float:
@@ -303,7 +316,13 @@ def drive_limit_words(axis: AxisFile, model: ModelFile) -> list[str]:
     return limit_words(axis.controller.current_limit_a, limit)
 
 
-def require(path: str | Path, problems: list[str]) -> None:
-    """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned."""
+def require(path: str | Path, problems: list[str], argument: str | None = None) -> None:
+    """Raise DocumentError with one line for each problem, if there is one. Each begins with the key concerned.
+
+    `argument`: the name of what was given in place of the file.
+    """
     parts = [problem.partition(": ") for problem in problems]
-    refuse(path, [(key, text) for key, _, text in parts])
+    pairs = [(key, text) for key, _, text in parts]
+    if argument is not None:
+        refuse_argument(argument, pairs)
+    refuse(path, pairs)

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field, create_model, field_validator, model_validator
 
 from .. import formats
+from ..control.compensation import PortableEffects
 from ..control.friction_observer import TOGGLE_OFF
 from ..control.reference import MODE_VELOCITY, Profile
 from ..documents import DocumentError, StrictRecord, check, did_you_mean, parse, read_text, refuse, require_named
@@ -28,6 +29,7 @@ from ..symbols import FRICTION
 from .axis import TOGGLES, AxisFile, beside, build_profile, controller_config, model_of, read_axis
 from .checks import law_problems, profile_problems
 from .drive_section import SimulatedDriveSection
+from .effects import compensation_table
 from .mirror import dataclass_of, record_of
 from .names import LONGEST_NAME, FileName
 from .profile_sections import PaperProfile, ProfileSection
@@ -320,11 +322,13 @@ def case_of(scenario: Scenario, seed: int) -> Case:
     profile = reference_of(scenario, seed)
     candidates = candidates_of(scenario, seed)
     ring_rows = simulated_ring_rows(profile, scenario.axis.loop.tail_s)
+    session = session_config(scenario.axis, scenario.model, profile.values.size, ring_rows)
     return Case(
         seed,
         replace(scenario.plant, seed=seed),
         scenario.device,
-        session_config(scenario.axis, scenario.model, profile.values.size, ring_rows),
+        session._replace(effects=None),
+        PortableEffects.of(compensation_table(scenario.axis, scenario.model)),
         profile,
         candidates,
         yardstick_of(scenario.file),

@@ -25,11 +25,11 @@ import numpy as np
 
 from ..arrays import Floats
 from ..jit import njit
-from ..jit.by_address import call_on_vectors, vector_kernel_at, vectors_address
+from ..jit.by_address import call_on_vectors, vector_kernel_at
 from ..model.axis import AxisConfig
 from ..model.effects import slots as s
 from ..model.effects.registry import law_of, law_of_kernel
-from ..model.effects.table import Term, derive_signals, effect_table
+from ..model.effects.table import Term, derive_signals, effect_table, kernel_address
 from ..model.friction import FrictionConfig, FrictionState, friction_step
 from ..packing import flat_names, pack, reader
 from .feedforward import Reference
@@ -118,6 +118,22 @@ def table_numbers(table: Floats) -> tuple[list[str], Floats]:
     return names, np.concatenate(parts)
 
 
+class PortableEffects(NamedTuple):
+    """A table for another process, in which the kernels have other addresses."""
+
+    numbers: Floats
+    laws: tuple[str, ...]
+
+    @staticmethod
+    def of(table: Floats) -> PortableEffects:
+        """Of a table of this process."""
+        return PortableEffects(table_numbers(table)[1], tuple(effect_names(table)))
+
+    def table(self) -> Floats:
+        """The table for this process. Raises KeyError for a law that is not known in it."""
+        return table_of(list(self.numbers), self.laws)
+
+
 def table_of(numbers: Sequence[float], laws: Sequence[str]) -> Floats:
     """A table for this process: the inverse of `table_numbers`, with `effect_names`.
 
@@ -131,7 +147,7 @@ def table_of(numbers: Sequence[float], laws: Sequence[str]) -> Floats:
     begin = FIRST_EFFECT
     for k, (name, size) in enumerate(zip(laws, sizes, strict=True)):
         part, law = _part(table, k), law_of(name)
-        part[ADDRESS] = vectors_address(law.feedforward or law.kernel)
+        part[ADDRESS] = kernel_address(law, feedforward=True)
         part[LIMIT_NM : LIMIT_NM + size] = numbers[begin : begin + size]
         begin += size
     return table

@@ -87,11 +87,17 @@ def rms(values: Floats) -> float:
 
 def profile_rows(rows: Rows, samples: int | None = None) -> Rows:
     """The rows in which the profile ran; `samples` cuts off the standstill after it."""
+    inside: Rows = rows[_ran(rows, samples)]
+    return inside
+
+
+def _ran(rows: Rows, samples: int | None) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Which rows (n,) those are."""
     index = rows["profile_sample"]
     inside = index >= 0
     if samples is not None:
         inside &= index < samples
-    return rows[inside]
+    return inside
 
 
 def run_metrics(rows: Rows, period_s: float, samples: int | None = None, column: str = "velocity_rps") -> ErrorMetrics:
@@ -99,8 +105,8 @@ def run_metrics(rows: Rows, period_s: float, samples: int | None = None, column:
 
     `column`: true_velocity_rps is the shaft's, known only for a simulated drive in process.
     """
-    inside = profile_rows(rows, samples)
-    return error_metrics(inside["reference_rps"] - inside[column], period_s)
+    inside = _ran(rows, samples)  # of two columns: a copy of all of them takes a tenth of a simulated run
+    return error_metrics(rows["reference_rps"][inside] - rows[column][inside], period_s)
 
 
 def tick_statistics(rows: Rows, exchange: ExchangeCounts | None = None) -> TickStatistics:

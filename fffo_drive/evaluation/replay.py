@@ -48,6 +48,7 @@ from ..control.envelope import (
     envelope_with_heat,
 )
 from ..control.feedforward import Reference
+from ..control.own_law import USED, no_own_law, own_law_rest, own_law_step
 from ..control.reference import MODE_CURRENT, MODE_VELOCITY
 from ..control.velocity_estimator import (
     COMMANDS as COMMANDS_KEPT,
@@ -197,8 +198,8 @@ def _seen_in(row: Any, requested_a: float, limited: bool, wanted: bool, skipped_
 
 @njit
 def replay_into(
-    in_force: InForce, effects_memory: Floats, commands_a: Floats, memory: Memory, rows: Any, parameters_at: Integers,
-    effects_at: Integers, out: Replayed,
+    in_force: InForce, effects_memory: Floats, commands_a: Floats, own_law: Floats, memory: Memory, rows: Any,
+    parameters_at: Integers, effects_at: Integers, out: Replayed,
 ) -> Memory:  # fmt: skip
     """Run law and envelope over rows (n,) of signals.ROW into `out`. Returns the memory behind the last one.
 
@@ -221,6 +222,7 @@ def replay_into(
             estimator = estimator_at_rest()
             learned, adapted_nm = adaptation_at_start(), 0.0
             compensation_rest(effects_memory)
+            own_law_rest(own_law)
             trip, controlword, resetting_before, tick = TRIP_NONE, 0, 0, -1
         known = known and named and (follows or tick < 0)
         if known:
@@ -251,10 +253,16 @@ def replay_into(
                 adapted, controller = give_adapted(
                     config, learned, controller, MODE_VELOCITY, reference, toggle, True, adapted_nm
                 )
-                terms, controller = controller_step(
-                    config, controller, toggle, reference, row["velocity_rps"], effects_nm + adapted.torque_nm,
-                    estimate.followed_rps, row["position_rev"],
-                )  # fmt: skip
+                if own_law[USED] != 0.0:
+                    terms, controller = own_law_step(
+                        own_law, config, controller, reference, effects_nm + adapted.torque_nm, estimate.followed_rps,
+                        row["position_rev"],
+                    )  # fmt: skip
+                else:
+                    terms, controller = controller_step(
+                        config, controller, toggle, reference, row["velocity_rps"], effects_nm + adapted.torque_nm,
+                        estimate.followed_rps, row["position_rev"],
+                    )  # fmt: skip
                 requested_a, limited = terms.command_a, terms.limited
                 out.terms[k, 0] = terms.error_rps
                 out.terms[k, 1] = terms.filtered_error_rps
@@ -275,6 +283,7 @@ def replay_into(
             else:
                 controller, estimator = controller_at_rest(), estimator_at_rest()
                 compensation_rest(effects_memory)
+                own_law_rest(own_law)
                 if row["mode"] == MODE_CURRENT:
                     requested_a = row["requested_a"]
             skipped_ticks = _int64(row["tick"]) - tick - 1
@@ -304,6 +313,7 @@ def replay_into(
             known = not unpack_controller(in_force.parameters[parameters_at[k]]).adaptation.used
             controller, estimator = controller_at_rest(), estimator_at_rest()
             compensation_rest(effects_memory)
+            own_law_rest(own_law)
             envelope = envelope_with_heat(row["i2t_a2s"])
         keep_command(commands_a, _int64(row["tick"]), row["current_command_a"])
         # another law may have tripped where the axis continued: from here on the recorded course is used
@@ -329,7 +339,9 @@ def law_in_force(parameters: list[Floats], effects: list[Floats], envelope: Enve
 class Replay:
     """The rows of one session, file by file."""
 
-    def __init__(self) -> None:
+    def __init__(self, own_law: Floats | None = None) -> None:
+        """`own_law`: the block of a user's law (control.own_law) in place of the loop's own."""
+        self._own_law = no_own_law() if own_law is None else own_law
         self._memory = memory_at_start()
         self._effects_memory = new_memory()
         self._commands_a = np.zeros(COMMANDS_KEPT)
@@ -339,10 +351,13 @@ class Replay:
         return self._memory.known and int(row["row_number"]) == (self._memory.row_number + 1) & 0xFFFFFFFF
 
     def begin_from(self, before: MemoryBefore, parameters_at: int, effects_at: int) -> None:
-        """Take a recorded memory. The places are those of the parameters and effects that were in use with it."""
+        """Take a recorded memory. The places are those of the parameters and effects that were in use with it.
+
+        It has none of a user's own law, which is known from its next start on.
+        """
         law = before.packed.memory.law
         self._memory = Memory(
-            True,
+            self._own_law[USED] == 0.0,
             law.controller,
             before.packed.memory.envelope,
             parameters_at,
@@ -364,6 +379,7 @@ class Replay:
         out = room_for(rows.size)
         if rows.size:
             self._memory = replay_into(
-                in_force, self._effects_memory, self._commands_a, self._memory, rows, parameters_at, effects_at, out
-            )
+                in_force, self._effects_memory, self._commands_a, self._own_law, self._memory, rows, parameters_at,
+                effects_at, out,
+            )  # fmt: skip
         return out

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +26,12 @@ from ..control.envelope import (
     TRIP_TEXTS,
     EnvelopeConfig,
 )
+from ..control.own_law import ControlLaw
 from ..control.reference import MODE_VELOCITY
 from ..control.set_point import SET_POINT_SIZE
+from ..documents import DocumentError
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
+from ..packing import flat_names, reader
 from ..recording.run_records import RecordKind, RunRecord
 from ..runtime.records import (
     MemoryBefore,
@@ -117,9 +121,12 @@ class ReplayReport(NamedTuple):
 class Replayer:
     """Takes recordings one by one, in the order in which they were written."""
 
-    def __init__(self, instead: ReplayedLaw | None = None) -> None:
-        """`instead`: a law to run on the recorded data instead of those in use."""
+    def __init__(self, instead: ReplayedLaw | None = None, controller: ControlLaw | None = None) -> None:
+        """`instead`: a law to run on the recorded data instead of those in use; `controller`: that of a user's own, of
+        recordings that were made with it.
+        """
         self._instead = instead
+        self._controller = controller
         self._sessions: dict[str, _Session] = {}
         self._sum = _Sums()
 
@@ -132,7 +139,7 @@ class Replayer:
         name = session_id(records)
         names_blocks = "row_number" in (recorded.dtype.names or ())
         if name is not None and names_blocks:
-            session = self._sessions.setdefault(name, _Session(name))
+            session = self._sessions.setdefault(name, _Session(name, None, self._controller, self._instead is None))
             session.learn(records)
         else:
             law = self._instead or fallback
@@ -191,8 +198,16 @@ def as_current(rows: Rows) -> Rows:
 class _Session:
     """Blocks and memory of one session."""
 
-    def __init__(self, name: str, law: ReplayedLaw | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        law: ReplayedLaw | None = None,
+        controller: ControlLaw | None = None,
+        as_recorded: bool = True,
+    ) -> None:
         self.name = name
+        self._controller = controller
+        self._as_recorded = as_recorded
         self._replay = Replay()
         self._envelope = law.envelope if law else None
         self._parameters: list[Floats] = [law.parameters] if law else []
@@ -218,6 +233,8 @@ class _Session:
                 self._parameters_at[record.number] = len(self._parameters)
                 self._parameters.append(block_of(record))
                 self.models[record.number] = str(record.data.get("model", ""))
+                if self._as_recorded and "controller" in record.data and record.number == 0:
+                    self._replay = Replay(recorded_law(record.data["controller"], self._controller).block())
             elif record.kind == RecordKind.EFFECTS and record.number not in self._effects_at:
                 self._effects_at[record.number] = len(self._effects)
                 self._effects.append(effects_of(record))
@@ -298,6 +315,17 @@ class _Session:
         digest = self._playing.take(rows)
         if digest is not None:
             sums.profiles["as_asked" if digest == record.data["values_sha256"] else "other"] += 1
+
+
+def recorded_law(recorded: Mapping[str, Any], law: ControlLaw | None) -> ControlLaw:
+    """A user's law with the config that a recording has of it. Raises DocumentError where it is another law."""
+    whose = f"it was recorded with the control law {recorded['name']!r} of {recorded['file']}"
+    if law is None:
+        raise DocumentError(f"controller: {whose}: give it, as fd.replay(run, controller=LAW)")
+    numbers = recorded["config"]
+    if law.name != recorded["name"] or tuple(numbers) != flat_names(type(law.config)):
+        raise DocumentError(f"controller: {whose}, and {law.name!r} of {law.file} has another name or config")
+    return replace(law, config=reader(type(law.config), "recorded_config")(list(numbers.values())))
 
 
 class _Playing:

@@ -17,6 +17,7 @@ import functools
 import hashlib
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterable
 from importlib import metadata
 from pathlib import Path
@@ -126,6 +127,25 @@ class Kernel:
 
     def __reduce__(self) -> str:  # by name, which is that of the function
         return self.py_func.__qualname__
+
+
+LONG_S = 2.0  # of compiling, after which it is said: one small kernel takes less
+_told: list[Callable[[], None]] = []
+_first_s: list[float] = []
+
+
+def say_when_compiling(tell: Callable[[], None]) -> None:
+    """Have it told, once, that this process compiles for longer than LONG_S: the first start of a version does."""
+    _told[:] = [tell]
+    _first_s.clear()
+
+
+def compiling(now_s: float | None = None) -> None:
+    """A kernel is about to be compiled. `now_s`: None for the clock's time."""
+    now_s = time.monotonic() if now_s is None else now_s
+    _first_s[:] = _first_s or [now_s]
+    if _told and now_s - _first_s[0] > LONG_S:
+        _told.pop()()
 
 
 declarations: list[Callable[[], None]] = []

@@ -21,7 +21,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 from numba.np import linalg
 
-from . import PACKAGE_DIRECTORY, Kernel, cache_directory, declarations, digest_of
+from . import PACKAGE_DIRECTORY, Kernel, cache_directory, compiling, declarations, digest_of
 
 # without numba's runtime there is nothing to allocate with, and no reference count of an array is touched: their atomic
 # increments were two fifths of the loop's cycle
@@ -51,8 +51,9 @@ def dispatcher_of(kernel: Kernel) -> Any:
             declarations.pop(0)()
         made = kernel.__dict__.get("dispatcher")
         if made is None:
-            made = numba.njit(kernel.py_func, cache=True, fastmath=False, forceinline=kernel.inline, **_OPTIONS)
-            made._cache = _KernelCache(kernel.py_func)
+            made = numba.njit(kernel.py_func, fastmath=False, forceinline=kernel.inline, **_OPTIONS)
+            if Path(kernel.py_func.__code__.co_filename).is_file():  # one that was typed at a prompt is not kept
+                made._cache = _KernelCache(kernel.py_func)
             kernel.__dict__["dispatcher"] = made
     return made
 
@@ -105,6 +106,13 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
 
     Without it, one script with a port of its own made every other program fail at the loop's cache.
     """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What is on disk for a signature; None where it has to be compiled, which takes time: that is said."""
+        found = super().load_overload(sig, target_context)
+        if found is None:
+            compiling()
+        return found
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         arguments = tuple(sig) if isinstance(sig, tuple) else sig.args

@@ -98,8 +98,13 @@ def library(scripts: Path) -> str:
         "table, arrays of your own, or the simulated drive; `run.to_pandas()` makes a data frame of it. You need no",
         "files: arrays are enough.",
         "",
-        "What you change in memory is what `simulate` uses: `axis.change({...})`, another model, `gains=`, and a",
-        "reference of your own as an array. `fd.write_axis` and `fd.write_model` make files of it, which `run` needs.",
+        "What you change in memory is what `simulate` uses: `axis.change({...})`, another model, `gains=`, a reference",
+        "of your own as an array (`profile=`), other effects of the simulated drive (`effects=`), a law of your own",
+        "(`controller=`). `fd.write_axis` and `fd.write_model` make files of it, which `run` needs. A simulated minute",
+        "takes 0.15 s of processor time, and runs in threads use all cores: the sweep of 50 gains below takes 8 s of",
+        "it in all.",
+        "",
+        "An effect and a control law of your own have chapters: {doc}`own_effect`, {doc}`own_controller`.",
         "",
     ]
     for path in sorted(scripts.glob("*.py")):

@@ -21,7 +21,7 @@ from ..documents import StrictRecord, check, parse, read_text, refuse
 from .axis import AxisConfig
 from .effects.law import SHAPE
 from .effects.laws.lookup import UNKNOWN, CurveModel, curve_errors, curve_model, packed_curve, packed_sd
-from .effects.registry import law_of, name_error, parameter_errors
+from .effects.registry import LAWS, law_of, name_error, parameter_errors
 from .effects.table import Term
 from .friction import OMEGA_CLIPPED, OMEGA_LITERAL, OMEGA_SIGNED, FrictionConfig
 
@@ -79,6 +79,17 @@ class EffectModel(StrictRecord):
     ] = "absolute"
     alternatives: list[str] = Field(default_factory=list, description="effects that the data cannot separate from it")
     provenance: Annotated[str, Field(description="the command that fitted it, or the reason given by `diagnose`")] = ""
+    brought_by: Annotated[
+        str | None, Field(description="package or file with its law; null: a law of fffo-drive itself")
+    ] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _whose_law(cls, data: Any) -> Any:
+        """What is written names the package without which it cannot be read."""
+        name = data.get("name") if isinstance(data, dict) else None
+        brought_by = LAWS.brought_by(name) if isinstance(name, str) else None
+        return data if brought_by is None or data.get("brought_by") else {**data, "brought_by": brought_by}
 
     def quantities(self) -> dict[str, Quantity]:
         """All numbers under the names of the law, including those of a curve."""
@@ -214,9 +225,11 @@ def _scaled(quantity: Any, convert: Callable[[float], float]) -> Any:
 
 
 def content_hash(model: ModelFile) -> str:
-    """SHA-256 over everything but the hash itself; over the effects only if there are any."""
+    """SHA-256 over everything but the hash itself and the names of packages; over the effects only if there are any."""
     content = _content(model.model_copy(update={"content_hash": None}), exclude_none=False)
     del content["content_hash"]
+    for effect in content.get("effects", []):
+        del effect["brought_by"]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -263,7 +276,7 @@ def effect_errors(effects: list[EffectModel]) -> list[tuple[str, str]]:
     """(key, problem) for the effects of a model."""
     errors = []
     for k, effect in enumerate(effects):
-        wrong = name_error(effect.name)
+        wrong = name_error(effect.name, effect.brought_by)
         if wrong is not None:
             errors.append((f"effects[{k}].name", wrong))
             continue

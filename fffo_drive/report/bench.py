@@ -177,7 +177,7 @@ def _sections(result: BenchResult, cutouts: list[draw.ShownPart]) -> tuple[Secti
 
 
 def _verdict(result: BenchResult) -> Verdict:
-    cautions = _cautions(result)
+    cautions = timing_cautions(result)
     names = list(result.metrics)
     timing = Line(label="Timing", text=_timing(result))
     if result.data.duration_s < COMPARABLE_S:
@@ -248,7 +248,7 @@ def _confidence(result: BenchResult, better: str, worse: str) -> Confidence:
         return "probable"
     if ends.low <= 1.0:
         return "cannot tell"
-    return "probable" if _cautions(result) else "certain"
+    return "probable" if timing_cautions(result) else "certain"
 
 
 def _timing(result: BenchResult) -> str:
@@ -271,8 +271,8 @@ def _reasons(result: BenchResult, names: list[str]) -> list[str]:
     return [f"{', '.join(keys)}: {order}." for order, keys in by_order.items()]
 
 
-def _cautions(result: BenchResult) -> list[str]:
-    """Cautions about the comparison."""
+def timing_cautions(result: BenchResult) -> list[str]:
+    """What makes the comparison doubtful: a machine that was too busy, feedback or rows that are missing."""
     due = {name: ticks.ticks + ticks.skipped for name, ticks in result.ticks.items()}
     untimely = _untimely(result)
     unanswered = {name: ticks.missing_feedback / due[name] for name, ticks in result.ticks.items()}

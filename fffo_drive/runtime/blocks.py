@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import Floats
 from ..control.compensation import ALL_EFFECTS, TABLE_SIZE, new_memory
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
+from ..control.own_law import no_own_law
 from ..control.reference import Profile
 from ..control.set_point import HISTORY, SET_POINT_SIZE, SetPoint
 from ..control.velocity_estimator import COMMANDS
@@ -86,6 +87,7 @@ class Blocks(NamedTuple):
     trajectory: Floats  # (2, set_point.HISTORY), private to the loop: the generated reference
     commands: Floats  # (velocity_estimator.COMMANDS,), private to the loop: the last commands in A
     memory: Floats  # (memory.PACKED_SIZE,), written by the loop when it is asked for
+    own_law: Floats  # (own_law.BLOCK_SIZE,), a user's law in place of the loop's, and its memory; private to the loop
 
 
 def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
@@ -104,6 +106,7 @@ def new_blocks(controller: ControllerConfig, profile_capacity: int) -> Blocks:
         np.zeros((2, HISTORY)),
         np.zeros(COMMANDS),
         np.zeros(PACKED_SIZE),
+        no_own_law(),
     )
     blocks.control[EFFECTS] = ALL_EFFECTS
     blocks.parameters[:] = pack_controller(controller)

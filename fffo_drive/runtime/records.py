@@ -12,8 +12,11 @@ from ..arrays import Floats
 from ..control.compensation import effect_names, table_numbers, table_of
 from ..control.controller import CONTROLLER_NAMES
 from ..control.envelope import EnvelopeConfig, default_reactions
+from ..control.own_law import ControlLaw
 from ..control.reference import Profile
 from ..control.set_point import SET_POINT_NAMES, SetPoint
+from ..model.effects.registry import LAWS, name_error
+from ..packing import flat_names, pack
 from ..recording.run_records import RecordKind, RunRecord
 from ..units import NS_PER_S
 from . import blocks as b
@@ -99,16 +102,21 @@ def of_model(number: int, model: ModelNote) -> Unnumbered:
     return Unnumbered(number, RecordKind.MODEL, (), (), model._asdict())
 
 
-def of_parameters(number: int, block: Floats, model: ModelNote | None) -> Unnumbered:
-    """A packed controller block, and the model from which it was made."""
-    data = {} if model is None else {"model": model.content_hash}
+def of_parameters(number: int, block: Floats, model: ModelNote | None, own_law: ControlLaw | None = None) -> Unnumbered:
+    """A packed controller block, the model from which it was made, and the law of a user that acts in its place."""
+    data: dict[str, Any] = {} if model is None else {"model": model.content_hash}
+    if own_law is not None:
+        numbers = dict(zip(flat_names(type(own_law.config)), pack(own_law.config).tolist(), strict=True))
+        data["controller"] = {"name": own_law.name, "file": own_law.file, "config": numbers}
     return Unnumbered(number, RecordKind.PARAMETERS, CONTROLLER_NAMES, _floats(block), data)
 
 
 def of_effects(number: int, table: Floats) -> Unnumbered:
     """A table of compensated effects."""
     names, numbers = table_numbers(table)
-    return Unnumbered(number, RecordKind.EFFECTS, tuple(names), _floats(numbers), {"effects": effect_names(table)})
+    laws = effect_names(table)
+    data = {"effects": laws, "brought_by": {law: LAWS.brought_by(law) for law in laws if LAWS.brought_by(law)}}
+    return Unnumbered(number, RecordKind.EFFECTS, tuple(names), _floats(numbers), data)
 
 
 def of_profile(number: int, profile: Profile) -> Unnumbered:
@@ -218,7 +226,9 @@ def effects_of(record: RunRecord) -> Floats:
     try:
         return table_of(record.values, record.data["effects"])
     except KeyError as error:
-        raise ValueError(f"effects {record.number}: no effect is called {error} here") from None
+        name = error.args[0]
+        missing = name_error(name, record.data.get("brought_by", {}).get(name))
+        raise ValueError(f"effects {record.number}: {missing}") from None
 
 
 def memory_before(record: RunRecord) -> MemoryBefore:

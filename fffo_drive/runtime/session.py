@@ -17,8 +17,10 @@ import numpy as np
 from ..arrays import Floats
 from ..control.controller import CONTROLLER_BLOCK_SIZE, ControllerConfig, pack_controller
 from ..control.envelope import TRIP_NONE, EnvelopeConfig
+from ..control.own_law import ControlLaw, failure_of, forget_failure
 from ..control.reference import Profile
 from ..control.set_point import SetPoint
+from ..documents import DocumentError
 from ..drive.cia402 import GOAL_DISABLED, GOAL_ENABLED
 from ..drive.port import NO_LIMIT, CurrentLimit, Drive, limit_words, port_now_ns
 from ..jit import INTERPRETED
@@ -71,6 +73,14 @@ class SessionConfig(NamedTuple):
     ring_rows: int
     effects: Floats | None = None  # table of compensated effects (control/compensation)
     model: ModelNote | None = None  # that the controller was made with
+    own_law: ControlLaw | None = None  # of a user, in place of the controller
+
+
+def raise_failure(session: Session) -> None:
+    """Raise DocumentError, from the error of its own, if the step of a user's law failed in a run."""
+    error, law = failure_of(session.blocks.own_law), session.config.own_law
+    if error is not None and law is not None:
+        raise DocumentError(f"controller {law.name!r}: step raised {type(error).__name__}: {error}") from error
 
 
 class OnPaper(NamedTuple):
@@ -108,6 +118,9 @@ class Session:
         self.blocks: Blocks = new_blocks(config.controller, config.longest_profile)
         if config.effects is not None:
             self.blocks.effects[:] = config.effects
+        if config.own_law is not None:
+            self.blocks.own_law[:] = config.own_law.block()
+            forget_failure(self.blocks.own_law)
         self.ring: Ring = new_ring(config.ring_rows)
         self.realtime_report: RealtimeReport | None = None
         self.error: BaseException | None = None
@@ -120,7 +133,7 @@ class Session:
         self._models = 0
         first = [
             records.of_session(uuid.uuid4().hex, config.loop, config.envelope),
-            records.of_parameters(0, self.blocks.parameters[0], config.model),
+            records.of_parameters(0, self.blocks.parameters[0], config.model, config.own_law),
             records.of_effects(0, self.blocks.effects[0]),
             *(records.of_word(kind, int(self.blocks.control[word])) for word, kind in WORD_KINDS.items()),
         ]
@@ -190,7 +203,9 @@ class Session:
         block = pack_controller(controller)
         with (
             self._asking,
-            self._recorded(records.of_parameters(self._next(b.PARAMETER_NUMBER), block, self._model)),
+            self._recorded(
+                records.of_parameters(self._next(b.PARAMETER_NUMBER), block, self._model, self.config.own_law)
+            ),
         ):
             publish_controller(self.blocks, controller)
 

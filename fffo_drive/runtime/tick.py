@@ -28,6 +28,7 @@ from ..control.envelope import (
 )
 from ..control.feedforward import FeedforwardConfig, Reference, read_reference, stands_still, steady_reference
 from ..control.friction_observer import TOGGLE_FEEDFORWARD, TOGGLE_NONE, TOGGLE_OFF, observer_start
+from ..control.own_law import USED, own_law_rest, own_law_step
 from ..control.reference import MODE_CURRENT, MODE_IDLE, MODE_VELOCITY
 from ..control.set_point import (
     LiveMotion,
@@ -347,9 +348,17 @@ def law_step(
     if not active:
         mode, reference = MODE_IDLE, steady_reference(0.0)
         terms, controller = terms_of_current(0.0), controller_at_rest()
+        own_law_rest(blocks.own_law)
     elif mode == MODE_CURRENT:
         terms, controller = terms_of_current(reference.value), controller_at_rest()
         reference = steady_reference(0.0)
+        own_law_rest(blocks.own_law)
+    elif blocks.own_law[USED] != 0.0:
+        mode = MODE_VELOCITY
+        terms, controller = own_law_step(
+            blocks.own_law, config, controller, reference, effects_nm + adapted.torque_nm, estimate.followed_rps,
+            feedback["position_rev"],
+        )  # fmt: skip
     else:
         mode = MODE_VELOCITY
         terms, controller = controller_step(

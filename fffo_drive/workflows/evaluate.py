@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+from ..config.axis import controller_config
 from ..config.scenario import Scenario, case_of, cases_of, select_controllers
+from ..control.friction_observer import TOGGLE_OFF
+from ..control.own_law import ControlLaw, require_law
 from ..documents import DocumentError
-from ..evaluation.campaign import Evaluation, run_campaign
+from ..evaluation.campaign import Candidate, Evaluation, run_campaign, run_case, warm_up
 from ..evaluation.summary import Summary, summarise
 from ..evaluation.workers import over_cores
 
@@ -50,6 +55,28 @@ def run_published(
     return [evaluation for evaluations in found for evaluation in evaluations], fitted.left
 
 
-def evaluate(scenario: Scenario, workers: int | None = None) -> Summary:
-    """Figures of every controller with intervals over the seeds. Raises ValueError if no seed is complete."""
-    return summarise(run_seeds(scenario, workers), scenario.file.percent_of)
+def run_own_laws(scenario: Scenario, laws: Sequence[ControlLaw]) -> list[Evaluation]:
+    """Laws of a user's own on every seed, in threads of this process, which knows them. Raises DocumentError."""
+    for law in laws:
+        require_law("laws", law)
+    names = [*scenario.file.controllers, *(law.name for law in laws)]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DocumentError(f"laws: two controllers are called {twice!r}: give each a name of its own")
+    if not laws:
+        return []
+    axis = controller_config(scenario.axis, scenario.model)
+    candidates = tuple(Candidate(law.name, TOGGLE_OFF, axis, law) for law in laws)
+    warm_up(case_of(scenario, scenario.file.first_seed))
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as cores:
+        cases = (case_of(scenario, seed)._replace(candidates=candidates) for seed in scenario.seeds)
+        return [evaluation for found in cores.map(run_case, cases) for evaluation in found]
+
+
+def evaluate(scenario: Scenario, workers: int | None = None, laws: Sequence[ControlLaw] = ()) -> Summary:
+    """Figures of every controller, and of laws of a user's own, with intervals over the seeds.
+
+    Raises ValueError if no seed is complete.
+    """
+    found = run_own_laws(scenario, laws)  # first: an error in one is seen at once
+    return summarise([*run_seeds(scenario, workers), *found], scenario.file.percent_of)

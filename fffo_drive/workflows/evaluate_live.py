@@ -49,6 +49,7 @@ BANDS_RPS = (0.0, 0.5, 2.0, 5.0, 1000.0)
 HISTOGRAM_BINS = 160
 WHOLE_SHARE = 0.999  # of a profile
 NOTHING_MORE: Mapping[str, str] = MappingProxyType({})
+BEFORE, AFTER = "before", "after"  # the adoption of a model with more effects
 CANDIDATE = "candidate"  # in the metadata of a recording: the scenario's name of the controller
 
 
@@ -80,19 +81,35 @@ def evaluate_recordings(
 
 
 def controller_names(runs: Sequence[Run]) -> list[str]:
-    """Name of each run's controller; with its model's where runs of one controller have different models."""
+    """Name of each run's controller. Runs of one controller with two models, of which one has more effects: BEFORE and
+    AFTER; with others, their models' names.
+    """
     names = [controller_name(run) for run in runs]
-    models = [_model_name(run) for run in runs]
-    of_one = {name: {m for n, m in zip(names, models, strict=True) if n == name} for name in names}
-    return [f"{name}, {model}" if len(of_one[name]) > 1 else name for name, model in zip(names, models, strict=True)]
+    models = [_model_of(run) for run in runs]
+    of_one = {name: sorted({m for n, m in zip(names, models, strict=True) if n == name}) for name in names}
+    return [_with_model(name, model, of_one) for name, model in zip(names, models, strict=True)]
 
 
-def _model_name(run: Run) -> str:
-    """Name of the model in a recording; empty for one of `evaluate`, whose controllers have names, or without files."""
+def _with_model(name: str, model: tuple[int, str], of_one: Mapping[str, Sequence[tuple[int, str]]]) -> str:
+    """A controller's name, with what tells its models apart. `of_one`: the models of each, fewest effects first."""
+    known = of_one[name]
+    if len(known) < 2:
+        return name
+    if len(known) > 2 or known[0][0] == known[1][0]:
+        return f"{name}, {model[1]}"
+    when = BEFORE if model == known[0] else AFTER
+    return when if len(of_one) == 1 else f"{name}, {when}"
+
+
+def _model_of(run: Run) -> tuple[int, str]:
+    """Effects and name of the model in a recording; none of one of `evaluate`, whose controllers have names, or without
+    files.
+    """
     if CANDIDATE not in run.metadata:
         with contextlib.suppress(DocumentError):
-            return recorded_files(run)[1].name
-    return ""
+            model = recorded_files(run)[1]
+            return len(model.effects), model.name
+    return 0, ""
 
 
 def controller_name(run: Run) -> str:

@@ -23,6 +23,7 @@ from ..config.profile_sections import ProfileSection
 from ..config.runaway import runaway_problems
 from ..config.sections import length_problems
 from ..control.friction_observer import TOGGLE_NAMES, TOGGLE_OFF
+from ..control.own_law import ControlLaw
 from ..control.reference import Profile
 from ..documents import StrictRecord, check, parse, read_text, refuse, require_named
 from ..drive.port import Drive, DriveIdentity, DriveRefusedError
@@ -45,6 +46,7 @@ class Plan(NamedTuple):
     axis: AxisFile
     model: ModelFile
     profile: Profile
+    controller: ControlLaw | None = None  # of a user, in place of the file's
 
     @property
     def toggle(self) -> int:
@@ -88,11 +90,15 @@ def make_plan(
 
 def checked_plan(
     path: Path, axis: AxisFile, model: ModelFile, toggles: tuple[int, ...] | None = None,
-    profile_file: str | Path | None = None,
+    profile_file: str | Path | None = None, argument: str | None = None,
 ) -> Plan:  # fmt: skip
-    """As `make_plan`, for files that were read already or changed since. Raises DocumentError."""
+    """As `make_plan`, for files that were read already or changed since. Raises DocumentError.
+
+    `argument`: what a message names instead of the axis file, whose lines are not what was given.
+    """
     of_profile = path if profile_file is None else Path(profile_file)
-    require(of_profile, length_problems(axis.profile, axis.loop))
+    of_argument = argument if profile_file is None else None
+    require(of_profile, length_problems(axis.profile, axis.loop), of_argument)
     profile = build_profile(axis.profile, axis.loop.period_s)
     problems = profile_problems(axis, profile) + motion_problems(axis, profile, model)
     if profile_file is not None:
@@ -102,7 +108,7 @@ def checked_plan(
     toggles = toggles or (TOGGLES[axis.controller.observer.toggle],)
     proof = proof_problems(axis, model, toggles, profile)
     problems += proof + [text for text in velocity_problems(axis, model) if text not in proof]
-    require(path, problems)
+    require(path, problems, argument)
     return Plan(path, axis, model, profile)
 
 
@@ -149,7 +155,8 @@ def plan_session(plan: Plan, ring_rows: int | None = None) -> SessionConfig:
     """The session of a plan."""
     from ..config.session import session_config
 
-    return session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
+    config = session_config(plan.axis, plan.model, plan.profile.values.size, ring_rows)
+    return config._replace(own_law=plan.controller)
 
 
 def effect_monitor(plan: Plan) -> EffectMonitor | None:

@@ -11,6 +11,7 @@ import numpy as np
 from ..config.axis import AxisFile, controller_config, envelope_config, model_of, read_axis
 from ..config.effects import compensation_table
 from ..control.controller import pack_controller
+from ..control.own_law import ControlLaw
 from ..documents import DocumentError
 from ..evaluation.replay_runs import ReplayedLaw, Replayer, ReplayReport, session_id
 from ..model.parameters import ModelFile, read_model
@@ -21,15 +22,18 @@ MODEL_FORMAT = "fffo_drive/model/"
 AXIS_FORMAT = b"fffo_drive/axis/"
 
 
-def replay_files(files: Iterable[Path], other: str | None = None) -> ReplayReport:
-    """Replay recordings, one after the other. `other`: an axis or a model file. Raises DocumentError."""
+def replay_files(files: Iterable[Path], other: str | None = None, controller: ControlLaw | None = None) -> ReplayReport:
+    """Replay recordings, one after the other. `other`: an axis or a model file. Raises DocumentError.
+
+    `controller`: that of a user's own with which they were made.
+    """
     replayer: Replayer | None = None
     torn: list[str] = []
     for file in files:
         run = read_without_rows(file)  # its records name what the rows refer to by number
         torn += [run.reason] if run.reason else []
         if replayer is None:
-            replayer = Replayer(None if other is None else _other_law(other, run))
+            replayer = Replayer(None if other is None else _other_law(other, run), controller)
         named = session_id(run.records) is not None
         fallback = None if named or other is not None else _law_of(*recorded_files(run))
         try:

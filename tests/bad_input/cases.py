@@ -317,6 +317,11 @@ CASES = (
         (rf"{AXIS}:\d+: model: modle\.yaml: cannot be read: .*: did you mean '{MODEL}'",),
         changed(AXIS, "model: model.yaml", "model: modle.yaml"),
     ),
+    Case(
+        "a model with an effect of a package that is not installed", RUN, 78,
+        (rf"{MODEL}:\d+: effects\[0\]\.name: the effect 'my_drag' is not known here, .* package my-drag 1\.0: ",),
+        added(MODEL, "effects: [{name: my_drag, brought_by: package my-drag 1.0}]\n"),
+    ),
     Case("missing file of the simulated drive", RUN, 78, (f"{DRIVE}: cannot be read: No such file",), without(DRIVE)),
     Case(
         "unknown effect of the simulated drive", RUN, 78,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fffo_drive.config.scenario import case_of, read_scenario
+from fffo_drive.control.compensation import PortableEffects
 from fffo_drive.control.controller import ControllerConfig
 from fffo_drive.control.stability import LinearAxis, loop_margins
 from fffo_drive.evaluation.campaign import Candidate, Case, simulate
@@ -75,7 +76,7 @@ def test_it_runs_in_the_loop_of_peers_as_in_its_own(case, design, laws, second):
     law = with_second_surface(laws[PLUS], axis, SURFACES) if second else laws[PLUS]
     law = on_the_estimate(law, design.wish, axis, BANDWIDTH_HZ, LIMITS_RPS)
     assert isinstance(law.config, ControllerConfig)
-    own_case = case._replace(session=case.session._replace(effects=law.effects))
+    own_case = case if law.effects is None else case._replace(effects=PortableEffects.of(law.effects))
     rows, trip = simulate(own_case, Candidate(PLUS, law.toggle, law.config))
     own = trace_of(rows, case.profile.period_s, case.profile.values.size)
     found = run_law(case.plant, case.device, law, case.profile).trace

@@ -23,8 +23,9 @@ from fffo_drive.workflows.errors import RecordingGapError
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 AXIS = CONFIGS / "axis_simulated.yaml"
 NAMES = {
-    "Axis", "MeasuredRun", "RunMetrics", "adopt", "diagnose", "evaluate", "identify", "read_axis", "read_facts",
-    "read_model", "read_run", "replay", "run", "simulate", "tune", "write_axis", "write_model",
+    "Axis", "ControlLaw", "LawInput", "MeasuredRun", "RunMetrics", "adopt", "close_the_loop", "commission",
+    "diagnose", "evaluate", "export", "identify", "import_log", "margins", "read_axis", "read_facts", "read_model",
+    "read_run", "register_law", "replay", "run", "simulate", "tune", "write_axis", "write_model",
 }  # fmt: skip
 
 

@@ -46,8 +46,9 @@ def test_three_controllers_are_compared():
 @pytest.mark.timeout(300)
 def test_each_gain_of_a_sweep_has_an_error_of_its_own():
     ises = [float(line.split()[4]) for line in said_by("gain_sweep.py", AXIS).splitlines()]
-    assert len(set(ises)) == 5
-    assert ises == sorted(ises, reverse=True)
+    assert len(set(ises)) == 50
+    apart = ises[::12]  # five of them: neighbours differ by less than their noise
+    assert apart == sorted(apart, reverse=True)
 
 
 @pytest.mark.long

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 PAGES = Path(__file__).resolve().parents[2] / "fffo_drive" / "manual" / "pages"
-FENCE = re.compile(r"^```(?:\{code-block\} )?(console|python)\n(?::class: ([^\n]*)\n)?\n?(.*?)^```$", re.M | re.S)
+FENCE = re.compile(
+    r"^```(?:\{code-block\} )?(console|python|yaml|toml)\n(?::class: ([^\n]*)\n)?\n?(.*?)^```$", re.M | re.S
+)
 NUMBER = re.compile(r"[-+±]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 class Block(NamedTuple):
-    """One block: `marks` are `run`, `long`, `varying` (its numbers are not compared) and a script's file name."""
+    """One block: `marks` are `run`, `long`, `varying` (its numbers are not compared), or `run` and a file's name."""
 
     language: str
     marks: tuple[str, ...]
@@ -26,7 +28,7 @@ class Block(NamedTuple):
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """All console and Python blocks of a page, in order."""
+    """All blocks of a page with commands or a file, in order."""
     return [Block(f[1], tuple((f[2] or "").split()), f[3]) for f in FENCE.finditer(page.read_text(encoding="utf-8"))]
 
 

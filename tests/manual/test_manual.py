@@ -27,7 +27,7 @@ from fffo_drive.signals import SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(PAGES.rglob("*.md"))
-LONG = ("diagnose", "identify_and_tune")  # chapters of ten seconds and more
+LONG = ("diagnose", "identify_and_tune", "own_effect")  # chapters of ten seconds and more
 RUN = [p for p in SOURCES if any("run" in b.marks and "long" not in b.marks for b in blocks_of(p))]
 QUICK = [p for p in RUN if p.stem not in LONG]
 
@@ -143,13 +143,20 @@ def run_page(page: Path, directory: Path, with_long: bool) -> list[str]:
     python = program.with_name("python")  # no link: that would leave the environment behind
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
-    environment = dict(os.environ, PATH=f"{program.parent}:{os.environ['PATH']}", PYTHONPATH=str(ROOT), COLUMNS="80")
+    environment = dict(os.environ, PATH=f"{program.parent}:{os.environ['PATH']}", COLUMNS="80")
+    # what a page installs goes to a place of its own, without the network
+    site = directory / "site"
+    environment["PYTHONPATH"] = os.pathsep.join([str(site), str(ROOT)])
+    pip = {"TARGET": str(site), "NO_BUILD_ISOLATION": "0", "NO_DEPS": "1", "NO_INDEX": "1"}  # 0: no isolation
+    environment |= {f"PIP_{name}": value for name, value in pip.items()}
     wrong = []
     for block in blocks_of(page):
         if "run" not in block.marks or ("long" in block.marks and not with_long):
             continue
-        if block.language == "python":
-            (directory / block.marks[1]).write_text(block.text)
+        if block.language != "console":
+            file = directory / block.marks[1]
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(block.text)
             continue
         for command, quoted in block.steps:
             done = subprocess.run(

@@ -4,7 +4,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from fffo_drive.cli.evaluate import print_summary
 from fffo_drive.evaluation.campaign import evaluation_of
 from fffo_drive.evaluation.measures import Yardstick
 from fffo_drive.evaluation.summary import summarise
@@ -56,13 +58,17 @@ def test_a_loop_that_came_too_late_and_a_run_that_stopped_early_are_drawn_and_sa
 
 def test_runs_of_one_controller_with_two_models_are_two(monkeypatch):
     def recorded(names):
-        monkeypatch.setattr(evaluate_live, "recorded_files", lambda run: (None, SimpleNamespace(name=run.model)))
+        effects = {"new": ["cogging"]}
+        model_of = {name: SimpleNamespace(name=name, effects=effects.get(name, ())) for _, name in names}
+        monkeypatch.setattr(evaluate_live, "recorded_files", lambda run: (None, model_of[run.model]))
         monkeypatch.setattr(evaluate_live, "controller_name", lambda run: run.controller)
         return evaluate_live.controller_names(
             [SimpleNamespace(controller=name, model=model, metadata={}) for name, model in names]
         )
 
-    assert recorded([("pi", "old"), ("pi+", "old"), ("pi+", "new")]) == ["pi", "pi+, old", "pi+, new"]
+    assert recorded([("pi", "old"), ("pi+", "old"), ("pi+", "new")]) == ["pi", "pi+, before", "pi+, after"]
+    assert recorded([("pi", "new"), ("pi", "old"), ("pi", "old")]) == ["after", "before", "before"]
+    assert recorded([("pi", "old"), ("pi", "other")]) == ["pi, old", "pi, other"]
     assert recorded([("pi", "old"), ("pi", "old")]) == ["pi", "pi"]
 
 
@@ -151,3 +157,20 @@ def test_a_published_law_that_is_best_is_not_for_an_axis_file():
     verdict = report_of(*runs, published=frozenset({"dob+"})).verdict
     assert (verdict.finding, verdict.next_step) == ("dob+ is best", "compare")
     assert verdict.lines[-1].text.endswith("The best of the scenario's own controllers is pi.")
+
+
+def test_the_page_judges_by_the_measured_velocity_and_names_the_shafts():
+    report = report_of(run("before", range(SAMPLES), 0.02), run("after", range(SAMPLES), 0.01))
+    assert report.verdict.headline.startswith("after has the smallest squared error against measured velocity: 2")
+    assert report.verdict.reasons[0] == "ISE against measured velocity: after < before."
+    assert all("true velocity" not in table.title for table in report.tables)
+
+
+def test_a_table_in_a_pipe_keeps_its_digits_however_long_a_name_is(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    name = "pi with a name of a hundred letters" * 3
+    print_summary(summarise([run(name, range(SAMPLES), 0.0123), run("pi", range(SAMPLES), 0.02)]))
+    printed = capsys.readouterr().out
+    line = next(line.strip() for line in printed.splitlines() if line.strip().startswith(name))
+    assert "…" not in printed
+    assert float(line.removeprefix(name).split()[2]) == pytest.approx(0.0123, rel=0.01)

@@ -206,7 +206,7 @@ def test_a_new_user_finds_adopts_and_sees_before_and_after_without_a_command_lin
             shown.tick(place, 0, place in (0, 3))
         shown.do("#compare")
         shown.until(f"document.querySelector('#viewer').src.endsWith('compare_{number}/report.html')")
-        shown.until("document.querySelector('#headline').textContent.includes('diagnose_1 has the smallest')")
+        shown.until("document.querySelector('#headline').textContent.includes('after has the smallest')")
         shown.do("#roll_back")
         shown.until("!document.querySelector('#axis-facts').textContent.includes('cogging')")
         shown.page.get_by_role("button", name="diagnose_1").click()  # its model is the one to adopt again

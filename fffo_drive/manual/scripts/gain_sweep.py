@@ -1,13 +1,20 @@
-"""A sweep of gains on one simulated axis: python gain_sweep.py AXIS.yaml"""
+"""A sweep of 50 gains on a simulated axis, on all cores: python gain_sweep.py AXIS.yaml"""
 
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 import fffo_drive as fd
 
+
+def ise(gain: float) -> float:
+    return fd.simulate(axis, gains={"proportional_a_per_rps": gain}, seed=1).metrics.measured.ise
+
+
 axis = fd.read_axis(sys.argv[1])
-own = axis.file.controller.proportional_a_per_rps
-for share in np.linspace(0.7, 1.1, 5):
-    run = fd.simulate(axis, gains={"proportional_a_per_rps": share * own}, seed=1)
-    print(f"Kp {share * own:.3f} A/rps: ISE {run.metrics.measured.ise:.5f} rps^2 s")
+gains = np.linspace(0.7, 1.1, 50) * axis.file.controller.proportional_a_per_rps
+with ThreadPoolExecutor(os.cpu_count()) as cores:
+    for gain, found in zip(gains, cores.map(ise, gains), strict=True):
+        print(f"Kp {gain:.3f} A/rps: ISE {found:.7f} rps^2 s")

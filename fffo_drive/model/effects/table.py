@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Floats, Integers
+from ...documents import DocumentError
 from ...jit import njit
 from ...jit.by_address import call_on_vectors, vectors_address
 from ..axis import AxisConfig
 from . import slots as s
-from .registry import law_of, vector_of
+from .law import Law
+from .registry import LAWS, law_of, vector_of
 from .slots import AxisFacts, new_signals
 
 
@@ -32,6 +34,21 @@ class Term(NamedTuple):
     values: Mapping[str, float]
 
 
+def kernel_address(law: Law, feedforward: bool) -> int:
+    """Address of a law's kernel, in a controller where `feedforward`. Raises DocumentError if it does not compile."""
+    kernel = law.feedforward if feedforward and law.feedforward is not None else law.kernel
+    try:
+        return vectors_address(kernel)
+    except Exception as error:
+        if LAWS.brought_by(law.name) is None:
+            raise
+        text = " ".join(str(error).split())
+        raise DocumentError(
+            f"effect {law.name!r}: its kernel does not compile: it may use numbers, math, the three vectors and other "
+            f"kernels, and allocate nothing: {text}"
+        ) from error
+
+
 def effect_table(
     terms: Sequence[Term], axis: AxisConfig, step_s: float, facts: AxisFacts | None = None, feedforward: bool = False
 ) -> EffectTable:
@@ -40,9 +57,7 @@ def effect_table(
     addresses = np.zeros(count, np.int64)
     parameters = np.zeros((count, s.MAX_PARAMETERS))
     for k, term in enumerate(terms):
-        law = law_of(term.name)
-        kernel = law.feedforward if feedforward and law.feedforward is not None else law.kernel
-        addresses[k] = vectors_address(kernel)
+        addresses[k] = kernel_address(law_of(term.name), feedforward)
         vector = vector_of(term.name, term.values)
         parameters[k, : len(vector)] = vector
     return EffectTable(addresses, parameters, np.zeros((count, s.MEMORY_SLOTS)), new_signals(axis, step_s, facts))
