@@ -10,7 +10,9 @@ from ..arrays import Floats
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
 from ..signals import REFERENCE_POSITION, TEMPERATURE
+from .conventions import conventional
 from .evidence import (
+    WORD,
     Register,
     Wrap,
     bridged,
@@ -143,15 +145,21 @@ class Candidates:
         if unknown:
             raise RecordingError(f"{source.path}: no column {unknown[0]!r}: {did_you_mean(unknown[0], source.columns)}")
         self.columns = {}
+        known, program = ({}, "") if hints.linear else conventional(source.columns)
+        known = {name: unit for name, unit in known.items() if name not in source.units | dict(hints.units)}
+        if known:
+            self.remarks.append(
+                f"units as {program} means them: " + ", ".join(f"{name!r} in {unit}" for name, unit in known.items())
+            )
         for name, values in source.columns.items():
-            unit = hints.units.get(name, source.units.get(name))
+            unit = hints.units.get(name, source.units.get(name, known.get(name)))
             meaning = meaning_of(name, unit)
             register = None
             typed = name in source.roles.values()  # by what the file itself says: no number lost its sign
             if meaning.quantity in (POSITION, VELOCITY, *INPUTS) and not typed:
                 register = register_of(values, counter=meaning.quantity == POSITION)
-                if register is None and meaning.quantity != POSITION and unit in (None, "counts"):
-                    register = offset_of(values)
+                if register is None and meaning.quantity != POSITION:
+                    register = offset_of(values, *(() if unit in (None, "counts") else (WORD,)))
             self.columns[name] = Column(name, signed(values, register), unit, meaning, register)
         self.linear = hints.linear or any(
             c.unit and UNITS[c.unit].measures in (LENGTH, PACE, FORCE) for c in self.columns.values()

@@ -30,6 +30,7 @@ from .candidates import (
 )
 from .evidence import (
     OFFSET,
+    are_whole,
     bridged,
     driven_by,
     is_flag,
@@ -44,12 +45,14 @@ from .motion import Motions
 from .names import ENABLE, INPUTS, POSITION, VELOCITY
 from .source import Source
 from .times import SLOPE_TOLERANCE
-from .units import ANGLE, COUNT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
+from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
 from .units import TEMPERATURE as TEMPERATURE_OF
 
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 PERFECT = 0.99  # ... of a measured one; what a model or a controller computed has more
 SIGN_GAIN = 0.5  # of what inertia and friction leave of a column: less is left of it with its sign
+LARGEST_A = 200.0  # of a servo axis: more are mA
+PLAUSIBLE_A = (0.2, 60.0)  # peaks of a current of which nobody says the unit, and which has digits below one
 PLAUSIBLE_DEGC = (-40.0, 150.0)  # of a motor
 
 
@@ -278,15 +281,20 @@ class _Recogniser(Motions):
         return {TORQUE: "Nm", FORCE: "N", VOLTAGE: "V", SHARE: column.unit, COUNT: column.unit}.get(measures, "A")
 
     def _input(self, signal: str, column: Column, unit_of_inputs: str, velocity: Floats, acceleration: Floats) -> Guess:
-        unit = column.unit
-        factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
+        unit, sure = column.unit, column.unit is not None
         driven = driven_by(column.values, velocity, acceleration)
         evidence = f"{100.0 * max(driven.share, 0.0):.0f} % of it is inertia and friction"
-        if unit is None:
+        if unit is None and column.meaning.quantity == CURRENT:
+            peak = float(np.nanquantile(np.abs(column.values), 0.99))
+            unit = "A" if peak < LARGEST_A else "mA"
+            sure = PLAUSIBLE_A[0] < peak < PLAUSIBLE_A[1] and not are_whole(column.values)
+            evidence = f"no unit is given, {unit} by its peaks of {peak:.3g}; {evidence}"
+        elif unit is None:
             evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
+        factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
         if driven.against and driven.share > EXPLAINED:
             factor, evidence = -factor, evidence + "; it opposes the motion, so its sign is reversed"
-        return Guess(signal, column.name, unit or "-", factor, None, None, evidence, unit is not None)
+        return Guess(signal, column.name, unit or "-", factor, None, None, evidence, sure)
 
     def _temperature(self) -> None:
         column = self._pick(TEMPERATURE_DEGC, TEMPERATURE_OF, asked=False)

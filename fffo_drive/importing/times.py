@@ -29,6 +29,7 @@ PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
 LEAST_STEPPING = 0.5  # of the stamps; with fewer the clock is coarser than the sampling
 SLOPE_TOLERANCE = 0.05
+ROUNDED = 2.5  # median steps: what rounding makes of one
 NICE_RATE = 0.005  # how far a rate from a motion may be from a round one
 
 
@@ -68,7 +69,8 @@ class Times(Candidates):
             )
         unit, evidence, sure = self._time_unit(found, float(np.median(steps)))
         wrap = stamp_wrap_of(found.values, DAY_S / UNITS[unit].factor)
-        rate_hz = 1.0 / (float(np.median(steps)) * UNITS[unit].factor)
+        within = steps[steps < ROUNDED * np.median(steps)]  # without the gaps; stamps may be rounded
+        rate_hz = 1.0 / (float(within.mean()) * UNITS[unit].factor)
         evidence += f"{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else "")
         self._take(TIME_S, found, unit, UNITS[unit].factor, evidence, sure, wrap)
         return None

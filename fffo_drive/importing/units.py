@@ -82,7 +82,7 @@ _ALIASES = {
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
 _NO_UNIT = re.compile(r"[\d\s.,:-]*")  # in brackets: an index, or nothing
 _OF_INDICES = {  # letters that are units after these words alone
-    "a": re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE),
+    "a": re.compile(r"curr|strom|amp|iq|command|cmd|cour|corr", re.IGNORECASE),
     "c": re.compile(r"temp", re.IGNORECASE),
 }
 _SLASHED = re.compile(r"^(?P<name>[^/\[({]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")

@@ -479,7 +479,7 @@ def _scales(run: dict[str, Floats], reading: Reading) -> list[str]:
     time_s = reading.read["time_s"] - reading.read["time_s"][0]
     span = run["time"][-1] * 0.98
     found = []
-    rate = float(np.median(np.diff(time_s)) / np.median(np.diff(run["time"])))
+    rate = float(time_s[-1] / (time_s.size - 1) / run["time"][1])
     if abs(rate - 1.0) > 0.01 or time_s[-1] < span:
         found.append(f"time: {rate:.4g} times the period, {time_s[-1]:.3g} of {run['time'][-1]:.3g} s")
         return found
