@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, NoReturn
@@ -55,6 +56,7 @@ ROLES = {  # options of `import` that say which column is a signal
     "setpoint": SETPOINT_REV,
     "reference_encoder": ENCODER_REV,
 }
+GRAVE = 0.1  # share of the inertia that a doubt may change under --yes
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
 
 
@@ -116,10 +118,20 @@ class Recognition(NamedTuple):
     enable: str | None  # column that says when the axis is under torque
     left: tuple[str, ...]  # columns that are not used
     remarks: tuple[str, ...]
+    grave: tuple[str, ...] = ()  # doubts about which the inertia depends by more than a tenth: for nobody but the user
 
     def of(self, signal: str) -> Guess | None:
         """The guess for a signal."""
         return next((guess for guess in self.guesses if guess.signal == signal), None)
+
+
+class Option(NamedTuple):
+    """A unit that a column may be in."""
+
+    unit: str  # "-": one of its own
+    factor: float | None  # ours in one of it; None: what the other columns make it
+    score: float  # log of how likely it is before the others are looked at
+    said: str
 
 
 class Column(NamedTuple):
@@ -141,6 +153,7 @@ class Candidates:
         self.guesses: dict[str, Guess] = {}
         self.remarks: list[str] = []
         self.doubts: dict[str, str] = {}  # signal: why its column is an assumption
+        self.grave: list[str] = []  # doubts that change the inertia by more than a tenth
         unknown = [name for name in (*hints.roles.values(), *hints.units) if name and name not in source.columns]
         if unknown:
             raise RecordingError(f"{source.path}: no column {unknown[0]!r}: {did_you_mean(unknown[0], source.columns)}")
@@ -212,8 +225,10 @@ class Candidates:
         if doubt:
             self._doubt(signal, f"others may be it as well: {names}")
 
-    def _doubt(self, signal: str, text: str) -> None:
-        """Make the guess of a signal an assumption, for a reason."""
+    def _doubt(self, signal: str, text: str, inertia_ratio: float = 1.0) -> None:
+        """Make the guess of a signal an assumption, for a reason. `inertia_ratio`: of another reading to this one."""
+        if not abs(math.log(max(abs(inertia_ratio), 1e-12))) < math.log(1.0 + GRAVE):
+            self.grave.append(text)
         self.doubts[signal] = "; ".join(filter(None, [self.doubts.get(signal), text]))
 
     def _wrap(self, column: Column) -> Wrap | None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Convention(NamedTuple):
-    """A program by a heading that no other one has, and the units of its headings; each a pattern of a heading's end."""
+    """A program by a heading that no other one has, and its units by heading: patterns of how one ends."""
 
     program: str
     mark: str
@@ -23,7 +23,8 @@ CONVENTIONS = (
     ),
     Convention(  # github.com/mjbots/moteus, reference of the registers
         "moteus", r"q_current|servo_stats\.\w+",
-        {r"(control_)?position": "rev", r"(control_)?velocity": "rps", r"(control_)?torque": "Nm", r"[qd]_current": "A"},
+        {r"(control_)?position": "rev", r"(control_)?velocity": "rps", r"(control_)?torque": "Nm",
+         r"[qd]_current": "A"},
     ),
     Convention(  # VESC Tool, CSV of its logger
         "VESC Tool", r"ms_today|tachometer_value|q_axis_current",

@@ -70,7 +70,8 @@ _MEASURED = _listed(
 # of the supply, of a phase, of a model, or of a limit: not what drives the axis
 _ASIDE = _listed(
     "input bus battery dc supply link id vd ud error err fault following deviation limit max min count counter index "
-    "alpha beta ia ib ic reactive magnetising magnetizing magnetisierung predicted prediction model modelled modeled simulated expected"
+    "alpha beta ia ib ic reactive magnetising magnetizing "
+    "magnetisierung predicted prediction model modelled modeled simulated expected"
 )
 _ELSEWHERE = _listed("mos fet mosfet board driver inverter bridge igbt ambient cpu")  # a temperature's place
 _OF_UNIT = {

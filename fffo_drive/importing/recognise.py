@@ -21,6 +21,7 @@ from .candidates import (
     SAME,
     SETPOINT_REV,
     TEMPERATURE_DEGC,
+    TIME_S,
     VELOCITY_RPS,
     AnswerNeededError,
     Column,
@@ -41,10 +42,9 @@ from .evidence import (
     signed,
     smoothed,
 )
-from .motion import Motions
+from .motion import CONTRADICTING, Motions
 from .names import ENABLE, INPUTS, POSITION, VELOCITY
 from .source import Source
-from .times import SLOPE_TOLERANCE
 from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
 from .units import TEMPERATURE as TEMPERATURE_OF
 
@@ -52,7 +52,7 @@ EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 PERFECT = 0.99  # ... of a measured one; what a model or a controller computed has more
 SIGN_GAIN = 0.5  # of what inertia and friction leave of a column: less is left of it with its sign
 LARGEST_A = 200.0  # of a servo axis: more are mA
-PLAUSIBLE_A = (0.2, 60.0)  # peaks of a current of which nobody says the unit, and which has digits below one
+PLAUSIBLE_A = (0.5, 40.0)  # peaks of a current of which nobody says the unit, and which has digits below one
 PLAUSIBLE_DEGC = (-40.0, 150.0)  # of a motor
 
 
@@ -63,20 +63,18 @@ def recognise(source: Source, hints: Hints | None = None) -> Recognition:
 
 class _Recogniser(Motions):
     def run(self) -> Recognition:
-        period_s = self._time()
+        time = self._time()
         enable = next((c.name for c in self._free() if c.meaning.quantity == ENABLE and is_flag(c.values)), None)
         if enable:
             self.columns.pop(enable)
         for name in [c.name for c in self._free() if says_nothing(c.values) and not c.meaning.asked]:
             self.columns.pop(name)
-        position, velocity = self._named_motion()
-        if position is None and velocity is None:
-            position, velocity = self._pair_by_data()
+        position, velocity = self._motion_columns()
         if position is None and velocity is None:
             position = self._pick(POSITION_REV, POSITION, asked=True)
         if position is None and velocity is None:
             self._refuse("neither a position nor a velocity", "--velocity COLUMN or --position COLUMN")
-        self._motion_units(position, velocity)
+        self._motion_units(time, position, velocity)
         self._reference_encoder()
         self._references()
         torque_unit = self._inputs()
@@ -85,6 +83,7 @@ class _Recogniser(Motions):
         self._tell_registers_and_doubts()
         used = {guess.column for guess in self.guesses.values()} | {enable}
         left = tuple(name for name in self.source.columns if name not in used)
+        period_s = None if TIME_S in self.guesses else self._period_s
         return Recognition(
             tuple(self.guesses.values()), period_s, self.linear, torque_unit, enable, left, tuple(self.remarks)
         )
@@ -171,7 +170,7 @@ class _Recogniser(Motions):
             if c.meaning.quantity is None and SETPOINT_REV not in self.hints.roles:
                 other = bridged(c.values)
                 found = relation(other - other.mean(), own - own.mean())
-                if found.correlation > SAME and abs(found.slope - 1.0) < SLOPE_TOLERANCE:
+                if found.correlation > SAME and abs(found.slope - 1.0) < CONTRADICTING:
                     return c
         return None
 
@@ -288,7 +287,8 @@ class _Recogniser(Motions):
             peak = float(np.nanquantile(np.abs(column.values), 0.99))
             unit = "A" if peak < LARGEST_A else "mA"
             sure = PLAUSIBLE_A[0] < peak < PLAUSIBLE_A[1] and not are_whole(column.values)
-            evidence = f"no unit is given, {unit} by its peaks of {peak:.3g}; {evidence}"
+            how = f"is {unit} by its peaks of {peak:.3g}" if sure or unit != "A" else "A is assumed"
+            evidence = f"no unit is given, {how}; {evidence}"
         elif unit is None:
             evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
         factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0

@@ -184,9 +184,7 @@ def _layout(lines: Sequence[str], path: Path) -> Layout:
     Columns of text are looked for as well: without them where that reads as many.
     """
     ways = [(decimal, delimiter) for decimal in ".," for delimiter in DELIMITERS if delimiter != decimal]
-    found = [
-        one for texts in (False, True) for decimal, sign in ways if (one := _read_as(lines, sign, decimal, texts))
-    ]
+    found = [one for texts in (False, True) for decimal, sign in ways if (one := _read_as(lines, sign, decimal, texts))]
     if found:
         return max(found, key=lambda one: one[0])[1]
     raise RecordingError(f"{path}: no lines of numbers in it{_not_understood(lines)}")
