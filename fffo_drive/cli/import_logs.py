@@ -124,6 +124,13 @@ def execute(options: argparse.Namespace) -> int:
     logs, hints = _recognised(options, hints)
     if not options.json:
         _print_tables(logs)
+    grave = [(one, text) for one in logs for text in one.found.grave]
+    if grave and options.yes:
+        one, text = grave[0]
+        raise RecordingError(
+            f"{one.source.said}: {text}: the inertia depends on it by more than a tenth, which --yes does not decide: "
+            f"{SAY_IT}"
+        )
     if assumptions(logs) and not options.yes and not options.map:
         if options.json or not sys.stdin.isatty():
             raise RecordingError(f"lines marked with '?' are assumptions: accept them with --yes, or {SAY_IT}")

@@ -10,7 +10,7 @@ from typing import NamedTuple, NoReturn
 from ..arrays import Floats
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
-from ..signals import REFERENCE_POSITION, TEMPERATURE
+from ..signals import MEASURED_TORQUE, REFERENCE_POSITION, TEMPERATURE
 from .conventions import conventional
 from .evidence import (
     WORD,
@@ -33,6 +33,7 @@ TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "v
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
 ENCODER_REV = REFERENCE_POSITION.name
 TEMPERATURE_DEGC = TEMPERATURE.name
+MEASURED_TORQUE_NM = MEASURED_TORQUE.name
 SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
 RECOGNISED = (
     TIME_S,
@@ -44,6 +45,7 @@ RECOGNISED = (
     SETPOINT_REV,
     ENCODER_REV,
     TEMPERATURE_DEGC,
+    MEASURED_TORQUE_NM,
 )
 MOST_LISTED = 40  # columns in a message
 ROLES = {  # options of `import` that say which column is a signal
@@ -55,6 +57,7 @@ ROLES = {  # options of `import` that say which column is a signal
     "reference": REFERENCE_RPS,
     "setpoint": SETPOINT_REV,
     "reference_encoder": ENCODER_REV,
+    "torque_sensor": MEASURED_TORQUE_NM,
 }
 GRAVE = 0.1  # share of the inertia that a doubt may change under --yes
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
@@ -240,6 +243,11 @@ class Candidates:
         """A position without wraps, missing samples bridged."""
         wrap = self._wrap(column)
         return bridged(column.values if wrap is None or wrap.at is None else unwrapped(column.values, wrap.at))
+
+    @staticmethod
+    def _size(column: Column) -> float:
+        """Ours in one of its unit, where that is written."""
+        return UNITS[column.unit].factor if column.unit else 1.0
 
     def _level(self, column: Column) -> Floats:
         return self._running(column) if column.meaning.quantity == POSITION else bridged(column.values)

@@ -280,6 +280,7 @@ class Driven(NamedTuple):
     """What a column that may drive the axis has in common with its motion."""
 
     share: float  # R^2 by inertia and friction
+    inertia: float  # of the column, in its unit and that of the acceleration
     against: bool  # it takes power out on the whole, and opposes the acceleration: its sign is reversed
 
 
@@ -290,10 +291,10 @@ def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:
     use = np.isfinite(column) & np.isfinite(matrix).all(axis=1)
     matrix, target = matrix[use][:MOST_POINTS], column[use][:MOST_POINTS]
     if target.size < LEAST_STEPS or float(np.ptp(target)) == 0.0:
-        return Driven(0.0, False)
+        return Driven(0.0, 0.0, False)
     found = least_squares(matrix, target)
     share = 1.0 - float(np.var(found.residual)) / float(np.var(target))
-    return Driven(share, float(target @ matrix[:, 1]) < 0.0 and float(found.values[0]) < 0.0)
+    return Driven(share, float(found.values[0]), float(target @ matrix[:, 1]) < 0.0 and float(found.values[0]) < 0.0)
 
 
 def rises(values: Floats) -> bool:

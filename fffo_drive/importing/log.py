@@ -15,7 +15,7 @@ from pathlib import Path
 from .. import units
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
-from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE
+from ..signals import MEASURED_TORQUE, REFERENCE_POSITION, SIGNALS, TEMPERATURE
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
@@ -37,7 +37,9 @@ from .times import RateNeededError, runs_of
 from .units import UNITS, unit_of
 
 STATUSWORD = "statusword"  # read where it is declared: other programs may write it in hexadecimal
-OURS = {TIME_S: "s"} | {s.name: s.unit for s in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE) if s.dtype == "<f8"}
+OURS = {TIME_S: "s"} | {
+    s.name: s.unit for s in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE, MEASURED_TORQUE) if s.dtype == "<f8"
+}
 SIGNAL_UNITS = OURS | {STATUSWORD: "-"}
 READ_DIRECTLY = "A"  # unit of the input that needs no word about the torque constant
 

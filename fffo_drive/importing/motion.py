@@ -24,7 +24,7 @@ from .candidates import (
     Column,
     Option,
 )
-from .evidence import Wrap, are_whole, bridged, driven_by, likely_counts, relation, smooth_derivative, smoothed
+from .evidence import Driven, Wrap, are_whole, bridged, driven_by, likely_counts, relation, smooth_derivative, smoothed
 from .names import INPUTS, POSITION, VELOCITY
 from .times import NICE_RATE, PLAUSIBLE_HZ, RateNeededError, Times
 from .units import ANGLE, COUNT, ELECTRIC, LENGTH, PACE, SHARE, UNITS
@@ -33,7 +33,7 @@ MOTIONS = {POSITION_REV, VELOCITY_RPS}
 LIKE = 0.9  # correlation of a velocity with the derivative of the position
 LEAST_LIKE = 0.5  # likewise: with less it is another one
 CLOSE = 3.0  # of two statements, the log of a likelihood of 20: less is a doubt
-MEASURED, BY_DEVICE = 2.0, -2.0  # log, of "actual" in a heading; of a heading that says a part of the motor alone
+MEASURED, BY_DEVICE = 3.5, -3.5  # log, of "actual" in a heading; of a heading that says a part of the motor alone
 UNLIKE = 12.0  # log, of a correlation of 0 in place of 1
 STANDS = 4.0  # log, of a joint whose range is a tenth of the least of one that moves
 EXPLAINS = 5.0  # log, of all of what drives the axis in place of nothing of it
@@ -43,7 +43,7 @@ SCALE_SD = 0.05  # likewise, of a velocity whose unit is written: a filter may h
 CONTRADICTING = 0.15  # likewise, beyond which units that are written contradict each other
 LESS_USUAL = 0.5  # log, of each unit after the most usual
 WHOLE_PAIRS = 0.05  # how far pole pairs may be from a whole number
-FULL_TURNS = 4.0  # log, of a reference at whole turns
+FULL_TURNS = 3.0  # log, of a reference at whole turns
 MOVES = 0.05  # of the largest range of positions in one unit: a joint that stands has less
 PLAUSIBLE_RPS = 500.0  # 30,000 rpm: few motors turn faster
 SPEED_UNITS = ("rps", "rpm", "rad/s", "deg/s")
@@ -85,43 +85,48 @@ class Motions(Times):
             places = speeds = [c for c in self._free() if c.meaning.quantity is None and not c.meaning.aside]
         if named and len(places) < 2 and len(speeds) < 2:
             return next(iter(places), None), next(iter(speeds), None)
-        time_s = self._time_s()
-        rates = {c.name: smooth_derivative(self._running(c), time_s) for c in places}
-        inputs = [c for c in self._free() if c.meaning.quantity in INPUTS and not c.meaning.aside]
-        driven: dict[str, float] = {}
+        driven = {c.name: self._driven(c) for c in (places or speeds)}
         scores: dict[tuple[str, str], float] = {}
-        alike = 0.0
         first: list[Column | None] = [*places] or [None]
         second: list[Column | None] = [*speeds] or [None]
         for place, speed in itertools.product(first, second):
             if place is speed:
                 continue
-            names = (place.name if place else "", speed.name if speed else "")
-            scores[names] = sum(self._said_and_moving(c, of) for c, of in ((place, places), (speed, speeds)) if c)
+            score = sum(self._said_and_moving(c, of) for c, of in ((place, places), (speed, speeds)) if c)
             if place is not None and speed is not None:
-                alike = abs(relation(smoothed(bridged(speed.values)), rates[place.name][0]).correlation)
-                scores[names] -= UNLIKE * (1.0 - alike)
+                rate = smooth_derivative(self._running(place), self._time_s())[0]
+                alike = abs(relation(smoothed(bridged(speed.values)), rate).correlation)
                 if not named and alike < LIKE:
-                    del scores[names]
                     continue
-            one = place or speed
-            assert one is not None
-            if one.name not in driven:
-                level = bridged(one.values)
-                moved = rates[one.name] if place else (level, smooth_derivative(level, time_s)[0])
-                shares = [driven_by(c.values, *moved).share for c in inputs]
-                driven[one.name] = max([0.0, *shares])
-            scores[names] += EXPLAINS * driven[one.name]
+                score -= UNLIKE * (1.0 - alike)
+            moving = place or speed
+            assert moving is not None
+            names = (place.name if place else "", speed.name if speed else "")
+            scores[names] = score + EXPLAINS * max(driven[moving.name].share, 0.0)
         if not scores:
             return None, None
         best = max(scores, key=lambda pair: scores[pair])
         close = {name for pair in scores for name in pair if scores[pair] > scores[best] - CLOSE}
         for signal, name, every in ((POSITION_REV, best[0], places), (VELOCITY_RPS, best[1], speeds)):
             taken, others = self.columns.get(name), [c for c in every if c.name != name]
-            if taken is not None and others and named:
-                rivals = [c for c in others if c.name in close and not self._same(c, taken)]
-                self._name_others(signal, taken, others, doubt=bool(rivals))
+            if taken is None or not others or not named:
+                continue
+            rivals = [c for c in others if c.name in close and not self._same(c, taken)]
+            self._name_others(signal, taken, others, doubt=bool(rivals))
+            for rival in rivals if name in driven and driven[name].inertia else []:
+                size = driven[rival.name].inertia / driven[name].inertia
+                ratio = abs(size * self._size(taken) / self._size(rival))
+                self._doubt(signal, f"by {rival.name!r} the inertia is {ratio:.3g} times this", ratio)
         return self.columns.get(best[0]), self.columns.get(best[1])
+
+    def _driven(self, column: Column) -> Driven:
+        """By a position or velocity, what inertia and friction explain of the input of which they explain the most."""
+        level = self._running(column) if column.meaning.quantity != VELOCITY else bridged(column.values)
+        rate, change = smooth_derivative(level, self._time_s())
+        moved = (rate, change) if column.meaning.quantity != VELOCITY else (level, rate)
+        inputs = [c for c in self._free() if c.meaning.quantity in INPUTS and not c.meaning.aside]
+        found = [driven_by(c.values, *moved) for c in inputs]
+        return max(found, key=lambda one: one.share, default=Driven(0.0, 0.0, False))
 
     def _said_and_moving(self, column: Column, others: list[Column]) -> float:
         """Log of what the heading says of a column, and of its range among numbered ones."""

@@ -16,6 +16,7 @@ from ..documents import did_you_mean
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
+    MEASURED_TORQUE_NM,
     POSITION_REV,
     REFERENCE_RPS,
     SAME,
@@ -42,7 +43,7 @@ from .evidence import (
     signed,
     smoothed,
 )
-from .motion import CONTRADICTING, Motions
+from .motion import CLOSE, CONTRADICTING, EXPLAINS, LIKE, MEASURED, SPEED_UNITS, Motions
 from .names import ENABLE, INPUTS, POSITION, VELOCITY
 from .source import Source
 from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
@@ -50,6 +51,10 @@ from .units import TEMPERATURE as TEMPERATURE_OF
 
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 PERFECT = 0.99  # ... of a measured one; what a model or a controller computed has more
+COMPUTED, ITSELF = -3.0, -20.0  # log, of a measured column that is explained so well, and of the velocity itself
+SAME_INERTIA = 0.02  # of two columns either of which may be taken
+NOTHING = -10.0
+QUANTITIES = {CURRENT: 0.0, TORQUE: -1.0, VOLTAGE: -4.0}  # log, of each of what may drive an axis
 SIGN_GAIN = 0.5  # of what inertia and friction leave of a column: less is left of it with its sign
 LARGEST_A = 200.0  # of a servo axis: more are mA
 PLAUSIBLE_A = (0.5, 40.0)  # peaks of a current of which nobody says the unit, and which has digits below one
@@ -85,7 +90,14 @@ class _Recogniser(Motions):
         left = tuple(name for name in self.source.columns if name not in used)
         period_s = None if TIME_S in self.guesses else self._period_s
         return Recognition(
-            tuple(self.guesses.values()), period_s, self.linear, torque_unit, enable, left, tuple(self.remarks)
+            tuple(self.guesses.values()),
+            period_s,
+            self.linear,
+            torque_unit,
+            enable,
+            left,
+            tuple(self.remarks),
+            tuple(self.grave),
         )
 
     def _refuse_unknown_units(self) -> None:
@@ -131,14 +143,26 @@ class _Recogniser(Motions):
             factor, unit, sure = math.copysign(UNITS[column.unit].factor, followed.factor), column.unit, True
         elif column.unit not in (None, self.columns[followed.column].unit):
             return self._leave_out(column, followed)
-        elif velocity is not None:
-            factor, unit, sure = velocity.factor, velocity.unit, velocity.sure
         else:
-            factor, unit, sure = followed.factor, f"{followed.unit}/s", followed.sure
+            factor, unit, sure = self._unit_that_is_followed(column, velocity or followed)
         if factor < 0.0:
             evidence += f", sign reversed as that of {followed.column!r}"
         self._take(REFERENCE_RPS, column, unit, factor, evidence, sure)
         return None
+
+    def _unit_that_is_followed(self, column: Column, followed: Guess) -> tuple[float, str, bool]:
+        """Factor and unit of a velocity that was asked for in no unit: that in which the motion follows it."""
+        motion = self._motion()[0]
+        asked = bridged(column.values)
+        found = relation(motion, asked)
+        sign = math.copysign(1.0, followed.factor)
+        if self.linear or abs(found.correlation) < LIKE:
+            unit = followed.unit if followed.signal == VELOCITY_RPS else f"{followed.unit}/s"
+            return followed.factor, unit, followed.sure
+        size, unit = min((abs(math.log(abs(found.slope) / UNITS[u].factor)), u) for u in SPEED_UNITS)
+        if size > CONTRADICTING:
+            return sign * abs(found.slope), "-", False
+        return sign * UNITS[unit].factor, unit, followed.sure
 
     def _setpoint(self, column: Column, followed: Guess) -> None:
         """A position that was asked for: in its own unit, else in that of the position."""
@@ -181,10 +205,8 @@ class _Recogniser(Motions):
                 self.columns[column.name] = self._with_sign(column, velocity, acceleration)
         found: dict[str, Column] = {}
         for signal, asked in ((COMMAND_A, True), (CURRENT_A, False)):
-            for quantity in INPUTS:
-                if signal not in found:
-                    taken = self._pick_input(signal, quantity, asked, velocity, acceleration)
-                    found |= {} if taken is None else {signal: taken}
+            taken = self._pick_input(signal, asked, velocity, acceleration)
+            found |= {} if taken is None else {signal: taken}
         measured = found.get(CURRENT_A)
         if (
             COMMAND_A not in found
@@ -193,6 +215,7 @@ class _Recogniser(Motions):
             and not measured.meaning.measured
         ):
             found = {COMMAND_A: measured}  # what an amplifier is given
+        self._torque_sensor(found, velocity, acceleration)
         kinds = {signal: c.meaning.quantity or "" for signal, c in found.items()}
         if len(set(kinds.values())) == 2:  # a current beside a torque: one unit for both
             worse = max(found, key=lambda s: (INPUTS.index(kinds[s]), s == CURRENT_A))
@@ -209,17 +232,13 @@ class _Recogniser(Motions):
             unnamed = [c for c in self._free() if c.meaning.quantity is None and not is_flag(c.values)]
             unnamed = [self._with_sign(c, velocity, acceleration) for c in unnamed]
             self.columns |= {c.name: c for c in unnamed}
-            shares = {
-                c.name: driven_by(c.values, velocity, acceleration).share for c in self._no_motion(unnamed, velocity)
-            }
-            ranked = sorted(
-                (n for n in shares if shares[n] > EXPLAINED), key=lambda n: (shares[n] > PERFECT, -shares[n])
-            )
-            if not ranked:
+            likely = {c.name: self._likely(c, velocity, acceleration, False) for c in unnamed}
+            able = sorted((c for c in unnamed if likely[c.name] > EXPLAINED * EXPLAINS), key=lambda c: -likely[c.name])
+            if not able:
                 self._refuse("no current or torque", "--command COLUMN")
-            found[COMMAND_A] = self.columns[ranked[0]]
-            if ranked[1:]:
-                self._doubt(COMMAND_A, f"others may be it as well: {', '.join(map(repr, ranked[1:]))}")
+            found[COMMAND_A] = able[0]
+            if able[1:]:
+                self._doubt(COMMAND_A, f"others may be it as well: {', '.join(repr(c.name) for c in able[1:])}")
         if COMMAND_A not in found:
             self.remarks.append(f"no command: {found[CURRENT_A].name!r}, which is measured, stands in for it")
         unit = self._input_unit(next(iter(found.values())))
@@ -227,31 +246,84 @@ class _Recogniser(Motions):
             self.guesses[signal] = self._input(signal, column, unit, velocity, acceleration)
         return unit
 
-    def _pick_input(
-        self, signal: str, quantity: str, asked: bool, velocity: Floats, acceleration: Floats
-    ) -> Column | None:
-        """What drives the axis: measured before unsaid, and before what inertia and friction explain too well."""
+    def _pick_input(self, signal: str, asked: bool, velocity: Floats, acceleration: Floats) -> Column | None:
+        """The likeliest of what may drive the axis; a close second that is another signal is a doubt."""
         if signal in self.hints.roles:
             hinted = self._hinted(signal)
             if hinted is not None:
                 self.columns[hinted.name] = hinted = self._with_sign(hinted, velocity, acceleration)
             return hinted
-        candidates = self._candidates(signal, quantity, asked)
-        found = self._no_motion(candidates, velocity)
-        if candidates and not found:
+        able = [c for quantity in INPUTS for c in self._candidates(signal, quantity, asked)]
+        if not able:
+            return None
+        scores = {c.name: self._likely(c, velocity, acceleration, not asked) for c in able}
+        able.sort(key=lambda c: -scores[c.name])
+        taken, *others = able
+        if scores[taken.name] < NOTHING:
             self._doubt(signal, "it is the velocity itself under another name")
-            return candidates[0]
-        if len(found) < 2:
-            return next(iter(found), None)
-        shares = {c.name: driven_by(c.values, velocity, acceleration).share for c in found}
-        found.sort(key=lambda c: (not c.meaning.measured, shares[c.name] > PERFECT))
-        taken, *others = found
-        rivals = [c for c in others if c.meaning.measured >= taken.meaning.measured and not self._same(c, taken)]
-        self._name_others(signal, taken, others, doubt=bool(rivals))
-        if rivals:
-            told = (f"{c.name!r} {100.0 * max(shares[c.name], 0.0):.3g} %" for c in (taken, *rivals))
-            self._doubt(signal, f"inertia and friction explain {', '.join(told)} (above 99 %: not measured, computed)")
+        others = [c for c in others if not self._is_torque_sensor(c, taken)]
+        rivals = [c for c in others if scores[c.name] > scores[taken.name] - CLOSE and not self._same(c, taken)]
+        own = driven_by(taken.values, velocity, acceleration)
+        doubts = []
+        for rival in rivals:
+            other = driven_by(rival.values, velocity, acceleration)
+            alike = rival.meaning.quantity == taken.meaning.quantity and own.inertia != 0.0
+            ratio = other.inertia * self._size(rival) / (own.inertia * self._size(taken)) if alike else math.inf
+            if abs(abs(ratio) - 1.0) < SAME_INERTIA and (own.share > PERFECT) == (other.share > PERFECT):
+                continue  # it does not matter which
+            doubts.append(rival)
+            told = (f"{c.name!r} {100.0 * max(d.share, 0.0):.3g} %" for c, d in ((taken, own), (rival, other)))
+            said = f"inertia and friction explain {', '.join(told)} (above 99 %: not measured, computed)"
+            self._doubt(signal, said + (f"; by it the inertia is {ratio:.3g} times this" if alike else ""), ratio)
+        if others:
+            self._name_others(signal, taken, others, doubt=bool(doubts))
         return taken
+
+    def _torque_sensor(self, found: dict[str, Column], velocity: Floats, acceleration: Floats) -> None:
+        """A torque in a unit beside a current: measured by a sensor, or the current times a constant."""
+        current = found.get(CURRENT_A) or found.get(COMMAND_A)
+        hinted = self._hinted(MEASURED_TORQUE_NM) if MEASURED_TORQUE_NM in self.hints.roles else None
+        if current is None or (hinted is None and MEASURED_TORQUE_NM in self.hints.roles):
+            return
+        torques = [c for c in self._candidates(MEASURED_TORQUE_NM, TORQUE, False) if self._is_torque_sensor(c, current)]
+        torques = [c for c in torques if abs(relation(smoothed(bridged(c.values)), velocity).correlation) < SAME]
+        column = hinted or next(iter(torques), None)
+        if column is None or column.name in {c.name for s, c in found.items() if s == COMMAND_A}:
+            return
+        unit = column.unit or ("N" if self.linear else "Nm")
+        factor = UNITS[unit].factor
+        own = relation(column.values * factor, bridged(current.values) * self._size(current))
+        if self._same(column, current):
+            self.remarks.append(
+                f"{column.name!r} is {own.slope:.4g} Nm/A times {current.name!r}: no sensor, the drive computed it"
+            )
+        else:
+            if found.get(CURRENT_A) is column:
+                del found[CURRENT_A]
+            factor = math.copysign(factor, own.slope) * (
+                -1.0 if self._opposes(current, velocity, acceleration) else 1.0
+            )
+            evidence = f"measured beside {current.name!r}, {own.slope:.4g} times it (r = {own.correlation:.3f})"
+            self._take(MEASURED_TORQUE_NM, column, unit, factor, evidence, column.unit is not None)
+
+    @staticmethod
+    def _opposes(column: Column, velocity: Floats, acceleration: Floats) -> bool:
+        driven = driven_by(column.values, velocity, acceleration)
+        return driven.against and driven.share > EXPLAINED
+
+    def _likely(self, column: Column, velocity: Floats, acceleration: Floats, measured: bool) -> float:
+        """Log of how likely a column drives the axis: by its heading, and by how inertia and friction explain it."""
+        if abs(relation(smoothed(bridged(column.values)), velocity).correlation) > SAME:
+            return ITSELF
+        share = max(driven_by(column.values, velocity, acceleration).share, 0.0)
+        said = MEASURED * (measured and column.meaning.measured) + QUANTITIES.get(column.meaning.quantity or "", 0.0)
+        return said + EXPLAINS * share + (COMPUTED if measured and share > PERFECT else 0.0)
+
+    def _is_torque_sensor(self, column: Column, input_: Column) -> bool:
+        """Whether a column is a torque in a unit beside a current, and no multiple of it."""
+        kinds = (TORQUE, CURRENT) if not self.linear else (FORCE, CURRENT)
+        known = column.unit is not None and UNITS[column.unit].measures == kinds[0]
+        return known and input_.meaning.quantity == CURRENT and not column.meaning.asked
 
     def _with_sign(self, column: Column, velocity: Floats, acceleration: Floats) -> Column:
         """An input with the sign in its highest bit, where inertia and friction explain that so much better.
@@ -267,11 +339,6 @@ class _Recogniser(Motions):
         before, after = (driven_by(one, velocity, acceleration).share for one in (column.values, values))
         better = after > EXPLAINED and 1.0 - after < SIGN_GAIN * (1.0 - before)
         return column._replace(values=values, register=found) if better else column
-
-    def _no_motion(self, candidates: list[Column], velocity: Floats) -> list[Column]:
-        """Without the columns that are the velocity itself under another name."""
-        alike = {c.name: abs(relation(smoothed(bridged(c.values)), velocity).correlation) for c in candidates}
-        return [c for c in candidates if alike[c.name] <= SAME]
 
     def _input_unit(self, column: Column) -> str:
         if column.unit is None:
@@ -292,7 +359,7 @@ class _Recogniser(Motions):
         elif unit is None:
             evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
         factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
-        if driven.against and driven.share > EXPLAINED:
+        if self._opposes(column, velocity, acceleration):
             factor, evidence = -factor, evidence + "; it opposes the motion, so its sign is reversed"
         return Guess(signal, column.name, unit or "-", factor, None, None, evidence, sure)
 

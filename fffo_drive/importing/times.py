@@ -51,7 +51,7 @@ class Times(Candidates):
         return not timed and counts_rows(column.values)
 
     def _time(self) -> list[Option]:
-        """The units that the time may be in; the likeliest goes first and is taken for now. None where a rate is known."""
+        """The units that the time may be in; the likeliest is first and taken for now. None where a rate is known."""
         if self.hints.rate_hz is not None:
             return []
         found = self.time_column()

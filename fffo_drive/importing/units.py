@@ -86,7 +86,7 @@ _OF_INDICES = {  # letters that are units after these words alone
     "c": re.compile(r"temp", re.IGNORECASE),
 }
 _SLASHED = re.compile(r"^(?P<name>[^/\[({]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
-_SUFFIX = re.compile(r"^(?P<name>.*?[a-z0-9])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+)$", re.IGNORECASE)
+_SUFFIX = re.compile(r"^(?P<name>.*?[^\W_])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+)$", re.IGNORECASE)
 _PER = re.compile(r"[ _]*per[ _]*")
 # a suffix like _a or _m may be an index as well: these may not
 _SAFE_SUFFIXES = {

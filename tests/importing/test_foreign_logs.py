@@ -311,12 +311,18 @@ def test_of_two_joints_that_move_the_driven_one_is_taken_and_asked_about():
     assert "others may be it as well: 'q1_rad'" in guess.evidence
 
 
-def test_what_was_assumed_is_in_the_recording(tmp_path):
+def test_what_was_assumed_is_in_the_recording_and_what_changes_the_inertia_is_for_the_user(tmp_path, capsys):
     columns = {"time_s": LOG.time_s, **MOTION, "Angle [deg]": MOTION["Angle [deg]"] / 50.0}
     path = written(tmp_path / "log.csv", columns)
     assert assumptions(recognised_logs([path], Hints()))
-    assert main(["import", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 0
-    assert "assumed: position_rev is 'Angle'" in read_run(tmp_path / "out" / "log.mcap").metadata["remarks"]
+    words = ["import", str(path), "--out", str(tmp_path / "out"), "--yes"]
+    assert main(words) == EXIT_BAD_INPUT  # a gear of 50: no inertia is known by that
+    assert "a gear of 50" in (said := capsys.readouterr().err)
+    assert "by more than a tenth, which --yes does not decide" in said
+    assert not (tmp_path / "out").exists()
+    written(path, {"time_s": LOG.time_s, "theta": 2.0 * np.pi * LOG.position_rev, "Current [A]": LOG.current_a})
+    assert main(words) == 0
+    assert "assumed: position_rev is 'theta' [rad]: rad" in read_run(tmp_path / "out" / "log.mcap").metadata["remarks"]
 
 
 # Registers
