@@ -199,7 +199,7 @@ def register_of(values: Floats, counter: bool = False) -> Register | None:
     if int(crossing.sum()) >= 2 and not crossing.all():
         # through zero the number goes on as it does elsewhere; what lies in the register jumps by the bit
         usual = CROSSING * float(np.quantile(folded[~crossing], 0.9)) + 1.0
-        if float(np.median(folded[crossing])) <= usual < float(np.median(raw[crossing])):
+        if float(np.median(folded[crossing])) <= usual < min(float(np.median(raw[crossing])), 0.5 * bit):
             return found
     return None
 

@@ -61,8 +61,8 @@ _RATES = _listed("dot rate deriv derivative punkt")  # of a position: its veloci
 _QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
 _DEVICE = {word: quantity for quantity, words in _DEVICES.items() for word in words.split()}
 _ASKED = _listed(
-    "ref reference des desired target cmd command commanded set setpoint control soll sollwert goal demand demanded dmd dem "
-    "requested request req setvalue sp vorgabe vorgegeben consigne consigna riferimento referencia cible action"
+    "ref reference des desired target cmd command commanded set setpoint control soll sollwert goal demand demanded "
+    "dmd dem requested request req setvalue sp vorgabe vorgegeben consigne consigna riferimento referencia cible action"
 )
 _MEASURED = _listed(
     "act actual meas measured ist istwert fb feedback real mess messwert present mesure misurata medida estimate"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from importing.axis_log import PERIOD_S, truth
 
 from fffo_drive.cli import main
 from fffo_drive.cli.exits import EXIT_BAD_INPUT
+from fffo_drive.identification.dataset import record_of_columns
+from fffo_drive.identification.facts import facts_of
+from fffo_drive.identification.torque_sensor import sensor_remarks
 from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.names import meaning_of
 from fffo_drive.importing.read import read_source
@@ -482,3 +486,30 @@ def test_what_candump_prints_is_called_a_trace(tmp_path):
     path.write_text("".join(f" (1793000000.{k:06d})  can0  181   [3]  01 02 {k % 100:02d}\n" for k in range(100)))
     with pytest.raises(RecordingError, match=r"a trace of a CAN bus .candump"):
         read_source(path)
+
+
+# A torque sensor beside the current
+
+SENSED = {"time_s": LOG.time_s, **MOTION}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["as the current", "reversed"])
+def test_a_torque_beside_the_current_is_that_of_a_sensor(sign):
+    """0.06 Nm/A, less what the rotor takes."""
+    acceleration = np.gradient(LOG.velocity_rps, LOG.time_s)
+    torque_nm = 0.06 * LOG.current_a - 5e-5 * acceleration
+    one = imported({**SENSED, "Shaft torque [mNm]": sign * 1e3 * torque_nm})
+    assert one.found.of("current_a").column == "Current [A]"
+    np.testing.assert_allclose(one.log.columns["measured_torque_nm"], torque_nm, atol=1e-12)
+    record = record_of_columns("log", one.log.columns, facts_of({"torque_constant_nm_per_a": 0.05}, False))
+    (said,) = sensor_remarks([record])
+    assert float(said.partition("a torque constant of ")[2].split()[0]) == pytest.approx(0.06, rel=1e-3)
+    assert "0.05 is declared" in said
+    assert "0.833 times the true ones" in said
+    assert not sensor_remarks([replace(record, measured_torque_nm=None)])
+
+
+def test_a_torque_that_the_drive_computes_is_no_sensor():
+    one = imported({**SENSED, "Torque [Nm]": 0.06 * LOG.current_a})
+    assert "measured_torque_nm" not in one.log.columns
+    assert any("0.06 Nm/A times 'Current [A]': no sensor" in remark for remark in one.log.remarks)

@@ -194,7 +194,19 @@ COUNTERS = ("index", "Sample", "n", "#", "No.", "row", "cycle", "tick")
 RESTARTS = ("time", "heading")
 CLOCKS = ("stamps", "stamps", "stamps", "stamps", "counter", "day", "date", "counter of 16 bits", "from 1970")
 REGISTERS = ("none", "none", "none", "two's complement", "sign and magnitude", "offset binary")
-OTHERS = ("supply", "warm", "temperature", "direct", "predicted", "count", "small", "flag", "zero", "text", "acceleration")
+OTHERS = (
+    "supply",
+    "warm",
+    "temperature",
+    "direct",
+    "predicted",
+    "count",
+    "small",
+    "flag",
+    "zero",
+    "text",
+    "acceleration",
+)
 HEADINGS = {
     "supply": ("Supply voltage [V]", "DC link voltage [V]", "bus_voltage"), "warm": ("Board temperature [°C]", "temp_fet"),
     "temperature": ("Motor temperature [°C]", "motor temp [C]"), "direct": ("Id [A]", "d-axis current [A]"),
@@ -225,7 +237,9 @@ def motion(rng: np.random.Generator, rate_hz: float, seconds: float) -> dict[str
     fastest = float(rng.choice([2.0, 5.0, 12.0, 30.0]))
     kind = rng.integers(3)
     if kind == 0:
-        parts = [(rng.uniform(0.2, 1.0), f * rng.uniform(0.8, 1.2), rng.uniform(0, 2 * np.pi)) for f in (0.23, 0.7, 2.1)]
+        parts = [
+            (rng.uniform(0.2, 1.0), f * rng.uniform(0.8, 1.2), rng.uniform(0, 2 * np.pi)) for f in (0.23, 0.7, 2.1)
+        ]
         velocity = sum(a * np.sin(2 * np.pi * f * time_s + p) for a, f, p in parts)
     elif kind == 1:
         phase = np.mod(time_s * rng.uniform(0.2, 0.6), 1.0)
@@ -239,7 +253,9 @@ def motion(rng: np.random.Generator, rate_hz: float, seconds: float) -> dict[str
     velocity = fastest * velocity / np.abs(velocity).max()
     reference = np.concatenate([np.repeat(velocity[0], 3), velocity[:-3]])[::1]
     reference, velocity = velocity, reference  # the axis lags
-    position = rng.uniform(-0.4, 0.4) + np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) / rate_hz
+    position = (
+        rng.uniform(-0.4, 0.4) + np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) / rate_hz
+    )
     acceleration = np.gradient(velocity, time_s)
     friction = COULOMB + (STRIBECK - COULOMB) * np.exp(-((velocity / SLIDING_RPS) ** 2))
     wanted = INERTIA * acceleration + friction * np.tanh(velocity / SMOOTH_RPS) + VISCOUS * velocity
@@ -499,7 +515,9 @@ def _scales(run: dict[str, Floats], reading: Reading) -> list[str]:
             found.append(f"{signal}: r = {alike:.3f} with the truth")
         elif abs(scale - 1.0) > TOLERANCE + (0.1 if signal.startswith("current") else 0.0):
             found.append(f"{signal}: {scale:.4g} times the truth")
-        elif signal == "velocity_rps" and abs(float(value.mean() - wanted.mean() * signs[signal])) > 0.05 * float(np.std(b)):
+        elif signal == "velocity_rps" and abs(float(value.mean() - wanted.mean() * signs[signal])) > 0.05 * float(
+            np.std(b)
+        ):
             found.append(f"{signal}: off by {value.mean() - wanted.mean():.3g}")
     if len(set(signs.values())) > 1:
         found.append(f"signs differ: {signs}")
