@@ -35,9 +35,9 @@ CONVENTIONS = (
         "MuJoCo", r"(qpos|qvel|qfrc_\w+)(\W?\d+\W?)?",
         {r"qpos(\W?\d+\W?)?": "rad", r"qvel(\W?\d+\W?)?": "rad/s", r"(qfrc_actuator|actuator_force)(\W?\d+\W?)?": "Nm"},
     ),
-    Convention(  # REP 103; an effort is what the driver makes of it
+    Convention(  # sensor_msgs/JointState
         "ROS", r"/?joint_states.*",
-        {r"position(\[\w+\])?": "rad", r"velocity(\[\w+\])?": "rad/s"},
+        {r"position(\[\w+\])?": "rad", r"velocity(\[\w+\])?": "rad/s", r"effort(\[\w+\])?": "Nm"},
     ),
 )  # fmt: skip
 

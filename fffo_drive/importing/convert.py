@@ -65,6 +65,8 @@ class Converted(NamedTuple):
 
     columns: dict[str, Floats]
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...] = ()  # what is assumed of columns and units
+    torque_unit: str = "A"  # of the input: A, Nm, N, V, or the column's own
     left_out: int = 0  # rows that miss a number, or whose stamp is not later than all before
 
 
@@ -124,7 +126,12 @@ def converted(source: Source, found: Recognition, drop: bool = True, from_zero: 
         guess = found.of(SETPOINT_REV)
         assert guess is not None
         remarks.append(f"the reference is the derivative of {guess.column!r}")
-    return Converted(columns, tuple(remarks), left_out)
+    return Converted(columns, tuple(remarks), assumed(found), found.torque_unit, left_out)
+
+
+def assumed(found: Recognition) -> tuple[str, ...]:
+    """What names, units and data leave open, in words."""
+    return tuple(f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in found.guesses if not g.sure)
 
 
 def _values(source: Source, guess: Guess) -> Floats:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from .. import units
 from ..documents import did_you_mean
@@ -32,7 +33,7 @@ from .evidence import says_nothing
 from .joints import chosen, episodes_of
 from .read import read_source, short_name
 from .recognise import recognise
-from .source import Source
+from .source import Source, source_of_arrays
 from .times import RateNeededError, runs_of
 from .units import UNITS, unit_of
 
@@ -55,6 +56,20 @@ def read_log(path: Path | str, hints: Hints | None = None) -> Converted:
         source = read_source(path, hints.drive)
         log = _as_declared(source, hints) if _declared(source, hints) else _without_doubt(source, hints)
     return log._replace(remarks=tuple(f"{source.said}: {remark}" for remark in log.remarks))
+
+
+def log_of_arrays(name: str, arrays: Mapping[str, Any], hints: Hints | None = None) -> Converted:
+    """Signals of arrays (n,) by any name, as `import` reads a file that has them as columns; `doubts` are its own.
+
+    Raises RecordingError for what cannot be recognised, and for a doubt that changes the inertia by more than a tenth.
+    """
+    hints = hints or Hints()
+    source = source_of_arrays(Path(name), arrays)
+    ((source,),) = chosen([_one_run(source, hints)], hints.joint).values()
+    found = recognise(source, hints)
+    if found.grave:
+        raise RecordingError(f"{name}: {found.grave[0]}: the inertia depends on it: say it by `columns` or `units`")
+    return converted(source, found, hints.drop, from_zero=False)
 
 
 @contextlib.contextmanager

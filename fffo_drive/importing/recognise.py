@@ -58,6 +58,7 @@ QUANTITIES = {CURRENT: 0.0, TORQUE: -1.0, VOLTAGE: -4.0}  # log, of each of what
 SIGN_GAIN = 0.5  # of what inertia and friction leave of a column: less is left of it with its sign
 LARGEST_A = 200.0  # of a servo axis: more are mA
 PLAUSIBLE_A = (0.5, 40.0)  # peaks of a current of which nobody says the unit, and which has digits below one
+PLAUSIBLE_MA = (400.0, 40e3)  # likewise; less may be a share of the rated current
 PLAUSIBLE_DEGC = (-40.0, 150.0)  # of a motor
 
 
@@ -353,7 +354,8 @@ class _Recogniser(Motions):
         if unit is None and column.meaning.quantity == CURRENT:
             peak = float(np.nanquantile(np.abs(column.values), 0.99))
             unit = "A" if peak < LARGEST_A else "mA"
-            sure = PLAUSIBLE_A[0] < peak < PLAUSIBLE_A[1] and not are_whole(column.values)
+            low, high = PLAUSIBLE_A if unit == "A" else PLAUSIBLE_MA
+            sure = low < peak < high and not are_whole(column.values)
             how = f"is {unit} by its peaks of {peak:.3g}" if sure or unit != "A" else "A is assumed"
             evidence = f"no unit is given, {how}; {evidence}"
         elif unit is None:

@@ -17,7 +17,7 @@ from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import DataError, distinct_names, load_record, one_rate, record_of_columns
 from ..identification.facts import DriveFacts, facts_of, facts_text
 from ..importing.candidates import POSITION_REV, RECOGNISED, VELOCITY_RPS, Guess, Hints, Recognition
-from ..importing.convert import FACTS_NAME, Converted, converted, write_recording
+from ..importing.convert import FACTS_NAME, Converted, assumed, converted, write_recording
 from ..importing.joints import chosen, dataset_files, episodes_of
 from ..importing.read import read_source, short_name
 from ..importing.recognise import recognise
@@ -249,8 +249,7 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
     if taken is not None:
         raise RecordingError(f"{taken}: exists already and is not overwritten: give another --out")
     for one, path in zip(logs, paths, strict=True):
-        assumed = [f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in one.found.guesses if not g.sure]
-        write_recording(path, one.source.path, one.log, facts_text(facts), found.linear, assumed)
+        write_recording(path, one.source.path, one.log, facts_text(facts), found.linear, assumed(one.found))
     (out / FACTS_NAME).write_text(facts_text(facts), encoding="utf-8")
     _draw_columns(out / COLUMNS_NAME, logs[0])
     (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared, out), sort_keys=False), encoding="utf-8")

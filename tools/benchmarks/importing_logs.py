@@ -1,4 +1,4 @@
-"""Generated logs of other programs, with the truth behind each: what `fffo-drive import` has to read right or ask about.
+"""Generated logs of other programs, with the truth behind each: what `import` has to read right or ask about.
 
 Names in five languages and those of drives and robots' programs, units, rates, clocks, restarts, registers, columns
 that are none of the signals, and headings that lie. Everything follows from one seed.
@@ -132,7 +132,8 @@ PROGRAMS = {
          "setpoint": ("servo_stats.control_position", "rev")},
         {"servo_stats.fet_temp_C": "warm", "servo_stats.bus_V": "supply", "servo_stats.d_A": "direct"}),
     "Dynamixel": Program(
-        {"time": ("time_ms", "ms"), "position": ("present_position", "counts"), "velocity": ("present_velocity_rpm", "rpm"),
+        {"time": ("time_ms", "ms"), "position": ("present_position", "counts"),
+         "velocity": ("present_velocity_rpm", "rpm"),
          "current": ("present_current_mA", "mA"), "setpoint": ("goal_position", "counts")},
         {"present_temperature": "temperature", "present_input_voltage": "supply", "moving": "flag"}),
     "EPOS Studio": Program(
@@ -175,7 +176,8 @@ PROGRAMS = {
          "current": ("r78[1] Stromistwert momentenbildend [A]", "A")},
         {"r70 Zwischenkreisspannung Istwert [V]": "supply"}, ";"),
     "LinuxCNC halscope": Program(
-        {"time": ("time", "s"), "position": ("joint.0.motor-pos-fb [deg]", "deg"), "velocity": ("joint.0.vel-fb [deg/s]", "deg/s"),
+        {"time": ("time", "s"), "position": ("joint.0.motor-pos-fb [deg]", "deg"),
+         "velocity": ("joint.0.vel-fb [deg/s]", "deg/s"),
          "setpoint": ("joint.0.motor-pos-cmd [deg]", "deg"), "command": ("joint.0.current-cmd [A]", "A")},
         {"joint.0.f-error": "small"}),
     "Kollmorgen": Program(
@@ -208,10 +210,12 @@ OTHERS = (
     "acceleration",
 )
 HEADINGS = {
-    "supply": ("Supply voltage [V]", "DC link voltage [V]", "bus_voltage"), "warm": ("Board temperature [°C]", "temp_fet"),
+    "supply": ("Supply voltage [V]", "DC link voltage [V]", "bus_voltage"),
+    "warm": ("Board temperature [°C]", "temp_fet"),
     "temperature": ("Motor temperature [°C]", "motor temp [C]"), "direct": ("Id [A]", "d-axis current [A]"),
     "predicted": ("torque_model [Nm]", "predicted torque [Nm]"), "count": ("cycle", "Counter"),
-    "small": ("Following error [deg]", "position error"), "flag": ("enabled", "in_position"), "zero": ("error code", "fault"),
+    "small": ("Following error [deg]", "position error"), "flag": ("enabled", "in_position"),
+    "zero": ("error code", "fault"),
     "text": ("state", "mode name"), "acceleration": ("Acceleration [rad/s^2]", "acc [rad/s2]"),
 }  # fmt: skip
 
