@@ -31,6 +31,10 @@ CONVENTIONS = (
         {r"ms_today": "ms", r"current_(motor|in)|[qd]_axis_current": "A", r"encoder_position": "deg", r"erpm": "erpm",
          r"temp_(motor|mos\w*)": "degC"},
     ),
+    Convention(  # objects of CiA 402; those of the velocity are the vendor's
+        "CiA 402", r"0x60(64|77|78|71|7A)\b.*",
+        {r"0x60(64|62|7A)\b.*": "counts", r"0x60(71|74|77|78)\b.*": "permille"},
+    ),
     Convention(  # mujoco.readthedocs.io: SI, hinge joints in rad
         "MuJoCo", r"(qpos|qvel|qfrc_\w+)(\W?\d+\W?)?",
         {r"qpos(\W?\d+\W?)?": "rad", r"qvel(\W?\d+\W?)?": "rad/s", r"(qfrc_actuator|actuator_force)(\W?\d+\W?)?": "Nm"},

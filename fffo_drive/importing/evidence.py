@@ -22,7 +22,11 @@ DAY_S = 86_400.0
 ANGLE_WRAPS = (1.0, 2.0 * np.pi, 360.0, 4.0 * np.pi, 720.0)
 WHOLE_ANGLE_WRAPS = (360.0, 720.0)
 COUNTER_WRAPS = tuple(float(1 << bits) for bits in range(8, 33))
-STAMP_WRAPS = COUNTER_WRAPS[8:]  # from 2^16: an angle's turn is no reason to wind time on
+STAMP_WRAPS = (
+    *COUNTER_WRAPS[8:],
+    1e6,
+    1e9,
+)  # from 2^16: an angle's turn is no reason to wind time on; of the us and ns of a second
 WRAP_TOLERANCE = 0.02  # of an angle, which may be scaled and rounded; a counter wraps at a whole number
 LEAST_JUMP = 8.0  # smallest steps: a sensor at rest toggles between few values
 LARGE_JUMP = 0.5  # of the range: what a motion does not do in one sample

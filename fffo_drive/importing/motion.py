@@ -48,6 +48,7 @@ MOVES = 0.05  # of the largest range of positions in one unit: a joint that stan
 PLAUSIBLE_RPS = 500.0  # 30,000 rpm: few motors turn faster
 SPEED_UNITS = ("rps", "rpm", "rad/s", "deg/s")
 ANGLE_UNITS = ("rad", "rev", "deg")
+LENGTH_UNITS, PACE_UNITS = ("m", "mm", "um"), ("m/s", "mm/s")
 COUNTER_WRAP = 256.0  # smallest range of a counter
 CONTRADICTIONS = {  # what one column has to be multiplied by to be the derivative of the other
     180.0 / math.pi: "180/pi: one of them is in radians and called degrees, or the other way",
@@ -172,7 +173,10 @@ class Motions(Times):
         if fastest > PLAUSIBLE_RPS and not self.linear:
             signal = POSITION_REV if POSITION_REV in self.guesses else VELOCITY_RPS
             if self.guesses[signal].column not in self.hints.units:
-                self._doubt(signal, f"it moves at {fastest:.4g} rps, {60.0 * fastest:.4g} rpm")
+                pace = f"it moves at {fastest:.4g} rps, {60.0 * fastest:.4g} rpm"
+                if position is not None and position.unit in (None, "counts") and are_whole(position.values):
+                    pace += ": in counts, --counts-per-turn N"
+                self._doubt(signal, pace, math.inf)
 
     def _together(
         self, time: list[Option], places: list[Option | None], speeds: list[Option | None], slope: float, alike: float
@@ -188,6 +192,8 @@ class Motions(Times):
             free = [k for k, factor in enumerate(given) if factor is None]
             if both and v is None:
                 score += LEFT_OUT
+            if p is not None and p.factor is None and len(speeds) > 1:
+                continue  # any unit of the velocity makes counts of a turn
             if free and (len(free) > 1 or p is None or v is None or abs(alike) < LIKE):
                 continue
             if p is not None and v is not None:
@@ -256,8 +262,9 @@ class Motions(Times):
         unit, counts = column.unit, self.hints.counts_per_turn
         measures = UNITS[unit].measures if unit else None
         if self.linear:
-            known = unit if unit and measures == LENGTH else None
-            return [Option(known or "m", UNITS[known or "m"].factor, 0.0, f"unit {known}" if known else "m is assumed")]
+            if unit and measures == LENGTH:
+                return [Option(unit, UNITS[unit].factor, 0.0, f"unit {unit}")]
+            return [Option(u, UNITS[u].factor, -LESS_USUAL * k, u) for k, u in enumerate(LENGTH_UNITS)]
         if measures == COUNT or (unit is None and counts is not None):
             if counts is not None:
                 return [Option("counts", 1.0 / counts, 0.0, f"{counts:g} counts a turn, as given")]
@@ -292,9 +299,13 @@ class Motions(Times):
         unit = column.unit
         measures = UNITS[unit].measures if unit else None
         if self.linear:
-            known = unit if unit and measures == PACE else None
-            said = f"unit {known}" if known else "m/s is assumed"
-            return [Option(known or "m/s", UNITS[known or "m/s"].factor, 0.0, said)]
+            if unit and measures == PACE:
+                return [Option(unit, UNITS[unit].factor, 0.0, f"unit {unit}")]
+            how = "is assumed" if position is None else "by the derivative of the position"
+            return [
+                Option(u, UNITS[u].factor, -LESS_USUAL * k, f"{u}, {how}" if position else f"{u} {how}")
+                for k, u in enumerate(PACE_UNITS)
+            ]
         if unit == ELECTRIC and self.hints.pole_pairs is None:
             return [Option(ELECTRIC, None, 0.0, "")]
         if unit is not None and measures not in (COUNT, SHARE):

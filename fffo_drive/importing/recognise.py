@@ -44,7 +44,7 @@ from .evidence import (
     smoothed,
 )
 from .motion import CLOSE, CONTRADICTING, EXPLAINS, LIKE, MEASURED, SPEED_UNITS, Motions
-from .names import ENABLE, INPUTS, POSITION, VELOCITY
+from .names import ENABLE, INPUTS, POSITION, VELOCITY, names_a_sensor
 from .source import Source
 from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
 from .units import TEMPERATURE as TEMPERATURE_OF
@@ -157,13 +157,13 @@ class _Recogniser(Motions):
         asked = bridged(column.values)
         found = relation(motion, asked)
         sign = math.copysign(1.0, followed.factor)
+        unit = followed.unit if followed.signal == VELOCITY_RPS else f"{followed.unit}/s"
         if self.linear or abs(found.correlation) < LIKE:
-            unit = followed.unit if followed.signal == VELOCITY_RPS else f"{followed.unit}/s"
             return followed.factor, unit, followed.sure
-        size, unit = min((abs(math.log(abs(found.slope) / UNITS[u].factor)), u) for u in SPEED_UNITS)
-        if size > CONTRADICTING:
-            return sign * abs(found.slope), "-", False
-        return sign * UNITS[unit].factor, unit, followed.sure
+        away, other = min((abs(math.log(abs(found.slope) / UNITS[u].factor)), u) for u in SPEED_UNITS)
+        if away > CONTRADICTING:
+            return followed.factor, unit, followed.sure
+        return sign * UNITS[other].factor, other, followed.sure
 
     def _setpoint(self, column: Column, followed: Guess) -> None:
         """A position that was asked for: in its own unit, else in that of the position."""
@@ -294,7 +294,7 @@ class _Recogniser(Motions):
         unit = column.unit or ("N" if self.linear else "Nm")
         factor = UNITS[unit].factor
         own = relation(column.values * factor, bridged(current.values) * self._size(current))
-        if self._same(column, current):
+        if self._same(column, current) and not names_a_sensor(column.name):
             self.remarks.append(
                 f"{column.name!r} is {own.slope:.4g} Nm/A times {current.name!r}: no sensor, the drive computed it"
             )

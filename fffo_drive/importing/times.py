@@ -43,7 +43,7 @@ class Times(Candidates):
         named = [c for c in columns if c.meaning.quantity == TIME and rises(c.values)]
         first = columns[:1] if columns and columns[0].meaning.quantity is None and is_time(columns[0].values) else []
         anywhere = [c for c in columns if c.meaning.quantity is None and is_time(c.values)]
-        found = sorted([*named, *first, *anywhere], key=self._is_row_number)
+        found = sorted([*named, *first, *anywhere], key=lambda c: (self._is_row_number(c), not _goes_on(c.values)))
         return next(iter([hinted] if hinted else found), None)
 
     def _is_row_number(self, column: Column) -> bool:
@@ -62,7 +62,7 @@ class Times(Candidates):
         if found is None:
             self._refuse("no time", "--time COLUMN or --rate HZ", RateNeededError)
         steps = np.abs(np.diff(found.values[np.isfinite(found.values)]))
-        if not float(np.mean(steps > 0.0) if steps.size else 0.0) > LEAST_STEPPING:
+        if not _goes_on(found.values):
             raise RateNeededError(
                 f"{self.source.path}: column {found.name!r} repeats in most rows, the stamps are rounded: "
                 "give --rate HZ",
@@ -134,6 +134,12 @@ class Times(Candidates):
             return np.asarray(np.arange(rows) * self._period_s, dtype=np.float64)
         raw = self.source.columns[guess.column]
         return self._going_on((unwrapped(raw, guess.wrap) if guess.wrap else raw) * guess.factor)
+
+
+def _goes_on(stamps: Floats) -> bool:
+    """Whether most stamps (n,) differ from the one before."""
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    return bool(steps.size and float(np.mean(steps != 0.0)) > LEAST_STEPPING)
 
 
 def runs_of(source: Source, hints: Hints) -> list[Source]:
