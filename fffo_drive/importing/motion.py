@@ -161,7 +161,8 @@ class Motions(Times):
             any(abs(one.factors[k] / best.factors[k] - 1.0) > NICE_RATE for one in close if one[k] is not None)
             for k in range(3)
         ]
-        told = [f"{c.name!r} in {o.unit}" for c, o in ((position, best.position), (velocity, best.velocity)) if c and o]
+        both = ((position, best.position), (velocity, best.velocity))
+        told = [f"{c.name!r} in {o.unit}" for c, o in both if c and o and o.unit == c.unit]
         by_motion = f"by {' and '.join(told)}" if len(told) == 2 else ""
         if best.time is not None:
             self._time_of(best, every, time, by_motion, open_ones[0])

@@ -52,6 +52,7 @@ from .units import TEMPERATURE as TEMPERATURE_OF
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 PERFECT = 0.99  # ... of a measured one; what a model or a controller computed has more
 COMPUTED, ITSELF = -3.0, -20.0  # log, of a measured column that is explained so well, and of the velocity itself
+OF_THE_CURRENT = 0.99  # correlation of a torque that no heading calls that of a sensor
 SAME_INERTIA = 0.02  # of two columns either of which may be taken
 NOTHING = -10.0
 QUANTITIES = {CURRENT: 0.0, TORQUE: -1.0, VOLTAGE: -4.0}  # log, of each of what may drive an axis
@@ -294,9 +295,10 @@ class _Recogniser(Motions):
         unit = column.unit or ("N" if self.linear else "Nm")
         factor = UNITS[unit].factor
         own = relation(column.values * factor, bridged(current.values) * self._size(current))
-        if self._same(column, current) and not names_a_sensor(column.name):
+        if abs(own.correlation) > OF_THE_CURRENT and hinted is None and not names_a_sensor(column.name):
             self.remarks.append(
-                f"{column.name!r} is {own.slope:.4g} Nm/A times {current.name!r}: no sensor, the drive computed it"
+                f"{column.name!r} is {own.slope:.4g} Nm/A times {current.name!r}: the drive computed it, or "
+                f"--torque-sensor {shlex.quote(column.name)}"
             )
         else:
             if found.get(CURRENT_A) is column:

@@ -512,7 +512,9 @@ def test_a_torque_beside_the_current_is_that_of_a_sensor(sign):
 def test_a_torque_that_the_drive_computes_is_no_sensor():
     one = imported({**SENSED, "Torque [Nm]": 0.06 * LOG.current_a})
     assert "measured_torque_nm" not in one.log.columns
-    assert any("0.06 Nm/A times 'Current [A]': no sensor" in remark for remark in one.log.remarks)
+    assert any("0.06 Nm/A times 'Current [A]': the drive computed it" in remark for remark in one.log.remarks)
+    said = imported({**SENSED, "Torque [Nm]": 0.06 * LOG.current_a}, roles={"measured_torque_nm": "Torque [Nm]"})
+    np.testing.assert_allclose(said.log.columns["measured_torque_nm"], 0.06 * LOG.current_a)
 
 
 # Conventions of programs, and what the data say where no unit is written

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
+import io
 import json
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,15 +21,16 @@ import numpy as np
 from common import ROOT, Report, finish, main, parser, shown
 from importing_logs import PROGRAMS, TORQUE_CONSTANT_NM_PER_A, Case, Reading, case, wrong_in
 
+from fffo_drive.cli import main as command
 from fffo_drive.importing.units import split_name
 from fffo_drive.recording.reader import read_run
 
 NAME = "importing"
 PURPOSE = (
-    "`fffo-drive import` in a process of its own: logs that are generated with the truth behind each (names, units, "
+    "`fffo-drive import` as it is typed: logs that are generated with the truth behind each (names, units, "
     "rates, restarts, registers, headings that lie), files that are damaged, a CSV of 100 MB beside pyarrow's parser "
     "alone on the same file, a LeRobot directory, and the published logs as their authors wrote them, each imported "
-    "with one command and then identified."
+    "with one command and then identified. What is timed has a process of its own."
 )
 ROWS, SAMPLE_ROWS = 1_900_000, 20_000
 PERIOD_S = 5e-4
@@ -98,22 +102,34 @@ def kind_of(one: Case) -> str:
     return KINDS[3] if one.undecided else KINDS[1] if one.kind in PROGRAMS else KINDS[0]
 
 
-def outcome_of(program: list[str], one: Case, folder: Path) -> tuple[str, str]:
+def typed(words: list[str]) -> tuple[int, str, str]:
+    """Exit code, output and errors of a command line, in this process: hundreds of interpreters take longer to start."""
+    out, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        try:
+            code = command(words)
+        except Exception:  # what a user would see as a traceback
+            code = 1
+            traceback.print_exc(file=errors)
+    return code, out.getvalue(), errors.getvalue()
+
+
+def outcome_of(one: Case, folder: Path) -> tuple[str, str]:
     """What became of a generated log without and with --yes, and in words what is wrong."""
     path, out = folder / f"{one.number}.csv", folder / f"{one.number}"
     path.write_text(one.text)
-    words = [*program, "import", str(path), *one.options, "--torque-constant", str(TORQUE_CONSTANT_NM_PER_A), "--json"]
-    done = subprocess.run([*words, "--out", str(out)], capture_output=True, text=True, check=False)
-    asked = "are assumptions: accept them with --yes" in done.stderr
+    words = ["import", str(path), *one.options, "--torque-constant", str(TORQUE_CONSTANT_NM_PER_A), "--json"]
+    code, said, errors = typed([*words, "--out", str(out)])
+    asked = "are assumptions: accept them with --yes" in errors
     if asked:
-        done = subprocess.run([*words, "--out", str(out), "--yes"], capture_output=True, text=True, check=False)
-    if "Traceback" in done.stderr:
+        code, said, errors = typed([*words, "--out", str(out), "--yes"])
+    if "Traceback" in errors:
         return "wrong", "a traceback"
-    if done.returncode:
-        said = done.stderr.strip().replace(f"{folder}/", "").partition("fffo-drive import: ")[2]
-        return "asked: --yes refuses" if asked else "refused", said
+    if code:
+        errors = errors.strip().replace(f"{folder}/", "").partition("fffo-drive import: ")[2]
+        return "asked: --yes refuses" if asked else "refused", errors
     readings = []
-    for log in json.loads(done.stdout)["logs"]:
+    for log in json.loads(said)["logs"]:
         columns = {signal: guess["column"] for signal, guess in log["signals"].items()}
         readings.append(Reading(read_run(Path(log["recording"])).columns, columns, log["torque_unit"]))
     wrong = wrong_in(one, readings, lambda heading: split_name(heading)[0])
@@ -121,11 +137,16 @@ def outcome_of(program: list[str], one: Case, folder: Path) -> tuple[str, str]:
     return (named, "; ".join(wrong)) if wrong else ("asked: right" if asked else "right", "")
 
 
-def of_generated(program: list[str], seed: int, number: int, folder: Path, report: Report) -> None:
+def outcomes_of(cases: list[Case], folder: Path) -> list[tuple[str, str]]:
+    """`outcome_of` of each."""
+    with ProcessPoolExecutor(AT_ONCE) as pool:
+        return list(pool.map(outcome_of, cases, [folder] * len(cases), chunksize=4))
+
+
+def of_generated(seed: int, number: int, folder: Path, report: Report) -> None:
     """Logs with the truth behind them: the targets, and a table by kind."""
     cases = [case(seed, k) for k in range(number)]
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        found = list(pool.map(lambda one: outcome_of(program, one, folder), cases))
+    found = outcomes_of(cases, folder)
     counts = Counter((kind_of(one), outcome) for one, (outcome, _) in zip(cases, found, strict=True))
     wrong = sum(counts[kind, "wrong"] for kind in KINDS)
     asked = number - wrong - sum(counts[kind, "right"] for kind in KINDS)
@@ -173,20 +194,21 @@ def damaged(seed: int, number: int) -> list[tuple[str, bytes]]:
     return files
 
 
-def of_damaged(program: list[str], seed: int, number: int, folder: Path, report: Report) -> None:
+def badly_told(name: str, data: bytes, folder: Path) -> bool:
+    """Whether a damaged file is refused by anything but one message that names it."""
+    path = folder / name
+    path.write_bytes(data)
+    code, _, errors = typed(["import", str(path), "--out", f"{path}.out", "--json"])
+    sentence = errors.startswith("fffo-drive import: ") and len(errors) < LONGEST_MESSAGE
+    named = name in errors or "are assumptions" in errors
+    return "Traceback" in errors or (code != 0 and not (sentence and named))
+
+
+def of_damaged(seed: int, number: int, folder: Path, report: Report) -> None:
     """Each is read as far as it is a log, asked about, or refused in one message that names it."""
-
-    def bad(name: str, data: bytes) -> bool:
-        path = folder / name
-        path.write_bytes(data)
-        words = [*program, "import", str(path), "--out", f"{path}.out", "--json"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        sentence = done.stderr.startswith("fffo-drive import: ") and len(done.stderr) < LONGEST_MESSAGE
-        named = name in done.stderr or "are assumptions" in done.stderr
-        return "Traceback" in done.stderr or (done.returncode != 0 and not (sentence and named))
-
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        count = sum(pool.map(lambda file: bad(*file), damaged(seed, number)))
+    names, files = zip(*damaged(seed, number), strict=True)
+    with ProcessPoolExecutor(AT_ONCE) as pool:
+        count = sum(pool.map(badly_told, names, files, [folder] * number))
     report.bounded(f"{number} damaged files: not one message that names the file", str(count), count == 0, "0")
 
 
@@ -224,8 +246,8 @@ def run() -> int:
     program = [sys.executable, "-m", "fffo_drive"]
     with tempfile.TemporaryDirectory() as folder, shown("importing") as progress:
         number = SAMPLE_LOGS if options.sample else LOGS
-        of_generated(program, options.seed, number, Path(folder), report)
-        of_damaged(program, options.seed, SAMPLE_LOGS if options.sample else DAMAGED, Path(folder), report)
+        of_generated(options.seed, number, Path(folder), report)
+        of_damaged(options.seed, SAMPLE_LOGS if options.sample else DAMAGED, Path(folder), report)
         episodes = 3 if options.sample else EPISODES
         dataset = write_dataset(Path(folder) / "dataset", episodes)
         words = ["--joint", "joint_2", "--out", f"{folder}/robot", "--yes", "--json"]
