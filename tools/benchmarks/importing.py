@@ -103,7 +103,7 @@ def kind_of(one: Case) -> str:
 
 
 def typed(words: list[str]) -> tuple[int, str, str]:
-    """Exit code, output and errors of a command line, in this process: hundreds of interpreters take longer to start."""
+    """Exit code, output and errors of a command line, here: interpreters take longer to start than to read."""
     out, errors = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
         try:
