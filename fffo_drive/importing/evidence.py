@@ -269,10 +269,16 @@ def smoothed(values: Floats) -> Floats:
     return np.asarray(scipy.ndimage.uniform_filter1d(values, SMOOTH_SAMPLES))
 
 
+def _thinned(values: Floats) -> Floats:
+    """Every so many of values (n,), MOST_POINTS of them and not twice as many."""
+    return values[:: max(1, values.size // MOST_POINTS)]
+
+
 def relation(one: Floats, other: Floats) -> Relation:
     """Least squares of `one` on `other`, (n,) each, without constants."""
+    one, other = _thinned(one), _thinned(other)
     use = np.isfinite(one) & np.isfinite(other)
-    one, other = one[use][:MOST_POINTS], other[use][:MOST_POINTS]
+    one, other = one[use], other[use]
     power, own = float(other @ other), float(one @ one)
     if power <= 0.0 or own <= 0.0:
         return Relation(0.0, 0.0)
@@ -290,10 +296,11 @@ class Driven(NamedTuple):
 
 def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:
     """How much of a column (n,) inertia and friction explain, and whether its sign is that of the motion."""
+    column, velocity, acceleration = _thinned(column), _thinned(velocity), _thinned(acceleration)
     sign = np.tanh(velocity / max(0.05 * float(np.quantile(np.abs(velocity), 0.9)), 1e-12))
     matrix = np.stack([acceleration, velocity, sign, np.ones_like(sign)], axis=1)
     use = np.isfinite(column) & np.isfinite(matrix).all(axis=1)
-    matrix, target = matrix[use][:MOST_POINTS], column[use][:MOST_POINTS]
+    matrix, target = matrix[use], column[use]
     if target.size < LEAST_STEPS or float(np.ptp(target)) == 0.0:
         return Driven(0.0, 0.0, False)
     found = least_squares(matrix, target)

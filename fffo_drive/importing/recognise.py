@@ -265,10 +265,9 @@ class _Recogniser(Motions):
             self._doubt(signal, "it is the velocity itself under another name")
         others = [c for c in others if not self._is_torque_sensor(c, taken)]
         rivals = [c for c in others if scores[c.name] > scores[taken.name] - CLOSE and not self._same(c, taken)]
-        own = driven_by(taken.values, velocity, acceleration)
         doubts = []
         for rival in rivals:
-            other = driven_by(rival.values, velocity, acceleration)
+            own, other = (driven_by(c.values, velocity, acceleration) for c in (taken, rival))
             alike = rival.meaning.quantity == taken.meaning.quantity and own.inertia != 0.0
             ratio = other.inertia * self._size(rival) / (own.inertia * self._size(taken)) if alike else math.inf
             if abs(abs(ratio) - 1.0) < SAME_INERTIA and (own.share > PERFECT) == (other.share > PERFECT):
