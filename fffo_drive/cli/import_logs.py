@@ -125,7 +125,7 @@ def execute(options: argparse.Namespace) -> int:
     if not options.json:
         _print_tables(logs)
     grave = [(one, text) for one in logs for text in one.found.grave]
-    if grave and options.yes:
+    if grave and (options.yes or options.map):
         one, text = grave[0]
         raise RecordingError(
             f"{one.source.said}: {text}: the inertia depends on it by more than a tenth, which --yes does not decide: "
