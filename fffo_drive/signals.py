@@ -83,6 +83,7 @@ SIGNALS: tuple[Signal, ...] = (
 
 # in logs of other programs only: no drive of this program reports it
 REFERENCE_POSITION = Signal("reference_position_rev", "<f8", "rev", "position by a reference encoder on the same shaft")
+MEASURED_TORQUE = Signal("measured_torque_nm", "<f8", "Nm", "by a torque sensor between motor and load")
 TEMPERATURE = Signal("temperature_degc", "<f8", "degC", "of the motor, or where friction is; what the log has")
 
 ROW = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])

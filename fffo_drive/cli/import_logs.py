@@ -124,6 +124,13 @@ def execute(options: argparse.Namespace) -> int:
     logs, hints = _recognised(options, hints)
     if not options.json:
         _print_tables(logs)
+    grave = [(one, text) for one in logs for text in one.found.grave]
+    if grave and (options.yes or options.map):
+        one, text = grave[0]
+        raise RecordingError(
+            f"{one.source.said}: {text}: the inertia depends on it by more than a tenth, which --yes does not decide: "
+            f"{SAY_IT}"
+        )
     if assumptions(logs) and not options.yes and not options.map:
         if options.json or not sys.stdin.isatty():
             raise RecordingError(f"lines marked with '?' are assumptions: accept them with --yes, or {SAY_IT}")
@@ -233,8 +240,9 @@ def _from_options(options: argparse.Namespace) -> tuple[Hints, dict[str, Any]]:
     declared = dict(mapping.facts)
     own = (hints.counts_per_turn, options.velocity_units, options.rated_torque, options.rated_current)
     constant = options.torque_constant or declared.get("torque_constant_nm_per_a")
-    drive = trace_drive(options.eds, options.node, dict(zip(SCALES, own, strict=True)), constant)
-    hints = replace(hints, drive=drive, joint=options.joint)
+    scales = mapping.scales | {key: value for key, value in zip(SCALES, own, strict=True) if value is not None}
+    drive = trace_drive(options.eds or mapping.eds, options.node or mapping.node, scales, constant)
+    hints = replace(hints, drive=drive, joint=options.joint or mapping.joint)
     if drive.torque_constant_nm_per_a is not None:
         declared["torque_constant_nm_per_a"] = drive.torque_constant_nm_per_a
     given = {"torque_constant_nm_per_a": options.torque_constant} | {

@@ -56,7 +56,7 @@ class DataError(RecordingError):
 
 TAKEN = (  # columns of a log that a fit may use
     "time_s", "current_command_a", "current_a", "position_rev", "velocity_rps", "reference_rps",
-    "reference_position_rev", "statusword",
+    "reference_position_rev", "measured_torque_nm", "statusword",
 )  # fmt: skip
 TIMING = ("tick", "velocity_age", "lateness_ns")  # of a recording: from these follow the samples that were missed
 DEADLINE, MODE = "deadline_ns", "mode"  # of a recording: its time, and where the loop applied torque
@@ -90,6 +90,7 @@ class Record:
     begin_s: float = 0.0  # stamp of the first sample, on the clock of the log
     good: Mask | None = None  # (n,) False where a sample was filled in; None: all were measured
     reference_position_rev: Floats | None = None  # of a reference encoder on the same shaft
+    measured_torque_nm: Floats | None = None  # by a torque sensor between motor and load
     limited: Mask | None = None  # (n,) True where the drive was at its internal limit; None: nowhere, or not known
     fault: str = ""  # of the position, for which nothing that is found in the run is certain; empty: none is seen
 
@@ -194,7 +195,7 @@ def where_command_acts(record: Record) -> Record:
         name: getattr(record, name)[kept]
         for name in (
             "current_a", "position_rev", "velocity_rps", "reference_rps", "measured_current_a", "good",
-            "reference_position_rev",
+            "reference_position_rev", "measured_torque_nm",
         )
         if getattr(record, name) is not None
     }  # fmt: skip
@@ -245,6 +246,7 @@ def _slowed(record: Record, period_s: float) -> Record:
         "current_command_a": record.current_a, "position_rev": record.position_rev,
         "velocity_rps": record.velocity_rps, "reference_rps": record.reference_rps,
         "current_a": record.measured_current_a, "reference_position_rev": record.reference_position_rev,
+        "measured_torque_nm": record.measured_torque_nm,
         LIMITED: None if record.limited is None else record.limited.astype(np.float64),
     }  # fmt: skip
     given = {name: values for name, values in columns.items() if values is not None}
@@ -259,6 +261,7 @@ def _slowed(record: Record, period_s: float) -> Record:
         record, period_s=period_s, current_a=joined["current_command_a"], position_rev=joined["position_rev"],
         velocity_rps=joined.get("velocity_rps"), reference_rps=joined.get("reference_rps"),
         measured_current_a=joined.get("current_a"), reference_position_rev=joined.get("reference_position_rev"),
+        measured_torque_nm=joined.get("measured_torque_nm"),
         good=None if good.all() else good, limited=_limits(joined),
         breaks=tuple(itertools.accumulate(sure.size for _, sure in parts[:-1])),
         warnings=(*record.warnings, f"{record.path}: brought from {rates}, the rate of the slowest log"),
@@ -371,6 +374,7 @@ def _unchecked(
         begin_s=float(time_s[0]),
         good=good,
         reference_position_rev=columns.get("reference_position_rev"),
+        measured_torque_nm=columns.get("measured_torque_nm"),
         limited=_limits(columns),
         fault=fault,
         warnings=tuple(warnings),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, NoReturn
@@ -9,8 +10,10 @@ from typing import NamedTuple, NoReturn
 from ..arrays import Floats
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
-from ..signals import REFERENCE_POSITION, TEMPERATURE
+from ..signals import MEASURED_TORQUE, REFERENCE_POSITION, TEMPERATURE
+from .conventions import conventional
 from .evidence import (
+    WORD,
     Register,
     Wrap,
     bridged,
@@ -30,6 +33,7 @@ TIME_S, POSITION_REV, VELOCITY_RPS, REFERENCE_RPS = "time_s", "position_rev", "v
 COMMAND_A, CURRENT_A = "current_command_a", "current_a"
 ENCODER_REV = REFERENCE_POSITION.name
 TEMPERATURE_DEGC = TEMPERATURE.name
+MEASURED_TORQUE_NM = MEASURED_TORQUE.name
 SETPOINT_REV = "setpoint_rev"  # a position that was asked for: its derivative is the reference
 RECOGNISED = (
     TIME_S,
@@ -41,6 +45,7 @@ RECOGNISED = (
     SETPOINT_REV,
     ENCODER_REV,
     TEMPERATURE_DEGC,
+    MEASURED_TORQUE_NM,
 )
 MOST_LISTED = 40  # columns in a message
 ROLES = {  # options of `import` that say which column is a signal
@@ -52,7 +57,9 @@ ROLES = {  # options of `import` that say which column is a signal
     "reference": REFERENCE_RPS,
     "setpoint": SETPOINT_REV,
     "reference_encoder": ENCODER_REV,
+    "torque_sensor": MEASURED_TORQUE_NM,
 }
+GRAVE = 0.1  # share of the inertia that a doubt may change under --yes
 SAME = 0.999  # correlation of two columns that are one signal, or of a reference with what follows it
 
 
@@ -114,10 +121,20 @@ class Recognition(NamedTuple):
     enable: str | None  # column that says when the axis is under torque
     left: tuple[str, ...]  # columns that are not used
     remarks: tuple[str, ...]
+    grave: tuple[str, ...] = ()  # doubts about which the inertia depends by more than a tenth: for nobody but the user
 
     def of(self, signal: str) -> Guess | None:
         """The guess for a signal."""
         return next((guess for guess in self.guesses if guess.signal == signal), None)
+
+
+class Option(NamedTuple):
+    """A unit that a column may be in."""
+
+    unit: str  # "-": one of its own
+    factor: float | None  # ours in one of it; None: what the other columns make it
+    score: float  # log of how likely it is before the others are looked at
+    said: str
 
 
 class Column(NamedTuple):
@@ -139,19 +156,26 @@ class Candidates:
         self.guesses: dict[str, Guess] = {}
         self.remarks: list[str] = []
         self.doubts: dict[str, str] = {}  # signal: why its column is an assumption
+        self.grave: list[str] = []  # doubts that change the inertia by more than a tenth
         unknown = [name for name in (*hints.roles.values(), *hints.units) if name and name not in source.columns]
         if unknown:
             raise RecordingError(f"{source.path}: no column {unknown[0]!r}: {did_you_mean(unknown[0], source.columns)}")
         self.columns = {}
+        known, program = ({}, "") if hints.linear else conventional(source.columns)
+        known = {name: unit for name, unit in known.items() if name not in source.units | dict(hints.units)}
+        if known:
+            self.remarks.append(
+                f"units as {program} means them: " + ", ".join(f"{name!r} in {unit}" for name, unit in known.items())
+            )
         for name, values in source.columns.items():
-            unit = hints.units.get(name, source.units.get(name))
+            unit = hints.units.get(name, source.units.get(name, known.get(name)))
             meaning = meaning_of(name, unit)
             register = None
             typed = name in source.roles.values()  # by what the file itself says: no number lost its sign
             if meaning.quantity in (POSITION, VELOCITY, *INPUTS) and not typed:
                 register = register_of(values, counter=meaning.quantity == POSITION)
-                if register is None and meaning.quantity != POSITION and unit in (None, "counts"):
-                    register = offset_of(values)
+                if register is None and meaning.quantity != POSITION:
+                    register = offset_of(values, *(() if unit in (None, "counts") else (WORD,)))
             self.columns[name] = Column(name, signed(values, register), unit, meaning, register)
         self.linear = hints.linear or any(
             c.unit and UNITS[c.unit].measures in (LENGTH, PACE, FORCE) for c in self.columns.values()
@@ -204,8 +228,10 @@ class Candidates:
         if doubt:
             self._doubt(signal, f"others may be it as well: {names}")
 
-    def _doubt(self, signal: str, text: str) -> None:
-        """Make the guess of a signal an assumption, for a reason."""
+    def _doubt(self, signal: str, text: str, inertia_ratio: float = 1.0) -> None:
+        """Make the guess of a signal an assumption, for a reason. `inertia_ratio`: of another reading to this one."""
+        if not abs(math.log(max(abs(inertia_ratio), 1e-12))) < math.log(1.0 + GRAVE):
+            self.grave.append(text)
         self.doubts[signal] = "; ".join(filter(None, [self.doubts.get(signal), text]))
 
     def _wrap(self, column: Column) -> Wrap | None:
@@ -217,6 +243,11 @@ class Candidates:
         """A position without wraps, missing samples bridged."""
         wrap = self._wrap(column)
         return bridged(column.values if wrap is None or wrap.at is None else unwrapped(column.values, wrap.at))
+
+    @staticmethod
+    def _size(column: Column) -> float:
+        """Ours in one of its unit, where that is written."""
+        return UNITS[column.unit].factor if column.unit else 1.0
 
     def _level(self, column: Column) -> Floats:
         return self._running(column) if column.meaning.quantity == POSITION else bridged(column.values)

@@ -26,7 +26,7 @@ from ..recording.schema import (
     schema_text,
 )
 from ..recording.writer import LIBRARY
-from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE, Signal
+from ..signals import MEASURED_TORQUE, REFERENCE_POSITION, SIGNALS, TEMPERATURE, Signal
 from ..units import NS_PER_S, unit_on
 from .candidates import (
     COMMAND_A,
@@ -48,7 +48,16 @@ FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
 MOST_LEFT_OUT = 0.01  # of the rows of a run, without `drop`
-WRITTEN = (POSITION_REV, VELOCITY_RPS, REFERENCE_RPS, COMMAND_A, CURRENT_A, ENCODER_REV, TEMPERATURE.name)
+WRITTEN = (
+    POSITION_REV,
+    VELOCITY_RPS,
+    REFERENCE_RPS,
+    COMMAND_A,
+    CURRENT_A,
+    ENCODER_REV,
+    TEMPERATURE.name,
+    MEASURED_TORQUE.name,
+)
 
 
 class Converted(NamedTuple):
@@ -56,6 +65,8 @@ class Converted(NamedTuple):
 
     columns: dict[str, Floats]
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...] = ()  # what is assumed of columns and units
+    torque_unit: str = "A"  # of the input: A, Nm, N, V, or the column's own
     left_out: int = 0  # rows that miss a number, or whose stamp is not later than all before
 
 
@@ -115,7 +126,12 @@ def converted(source: Source, found: Recognition, drop: bool = True, from_zero: 
         guess = found.of(SETPOINT_REV)
         assert guess is not None
         remarks.append(f"the reference is the derivative of {guess.column!r}")
-    return Converted(columns, tuple(remarks), left_out)
+    return Converted(columns, tuple(remarks), assumed(found), found.torque_unit, left_out)
+
+
+def assumed(found: Recognition) -> tuple[str, ...]:
+    """What names, units and data leave open, in words."""
+    return tuple(f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in found.guesses if not g.sure)
 
 
 def _values(source: Source, guess: Guess) -> Floats:
@@ -132,7 +148,7 @@ def write_recording(
 ) -> None:
     """The log as a recording of ours: rows at the stamps of the log, with the `facts` (YAML) and what was `assumed`."""
     names = [name for name in WRITTEN if name in log.columns]
-    by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE)}
+    by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE, MEASURED_TORQUE)}
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
     for name in names:
         own = by_name[name]

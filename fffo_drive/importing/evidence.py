@@ -22,7 +22,11 @@ DAY_S = 86_400.0
 ANGLE_WRAPS = (1.0, 2.0 * np.pi, 360.0, 4.0 * np.pi, 720.0)
 WHOLE_ANGLE_WRAPS = (360.0, 720.0)
 COUNTER_WRAPS = tuple(float(1 << bits) for bits in range(8, 33))
-STAMP_WRAPS = COUNTER_WRAPS[8:]  # from 2^16: an angle's turn is no reason to wind time on
+STAMP_WRAPS = (
+    *COUNTER_WRAPS[8:],
+    1e6,
+    1e9,
+)  # from 2^16: an angle's turn is no reason to wind time on; of the us and ns of a second
 WRAP_TOLERANCE = 0.02  # of an angle, which may be scaled and rounded; a counter wraps at a whole number
 LEAST_JUMP = 8.0  # smallest steps: a sensor at rest toggles between few values
 LARGE_JUMP = 0.5  # of the range: what a motion does not do in one sample
@@ -30,6 +34,7 @@ SMOOTH_SAMPLES = 9
 SMOOTH_S = 0.01
 MOST_POINTS = 200_000  # from which a relation is recognised
 LEAST_REGISTER = 128.0  # of 8 bits: smaller numbers may be anything
+WORD = 2.0**15  # highest bit of 16
 CROSSING = 4.0  # usual steps: how far a number may go where its sign changes
 OUTER = 0.25  # a signed number that is stored without its sign lies in the outer quarters of its range
 
@@ -54,7 +59,7 @@ def is_time(values: Floats) -> bool:
 def counts_rows(values: Floats) -> bool:
     """Whether values (n,) count rows: whole numbers that go on by one, but where some are lost or it begins anew."""
     steps = np.diff(values[np.isfinite(values)])
-    return steps.size >= LEAST_STEPS and _are_whole(values) and float(np.mean(steps == 1.0)) > RISING_SHARE
+    return steps.size >= LEAST_STEPS and are_whole(values) and float(np.mean(steps == 1.0)) > RISING_SHARE
 
 
 def begins_anew(stamps: Floats) -> list[slice]:
@@ -90,7 +95,7 @@ def wrap_of(values: Floats, turn: float | None = None) -> Wrap | None:
         turns = max(1.0, round(found.size / turn)) * turn
         if abs(found.size - turns) <= found.doubt:
             return Wrap(turns, found.size, True)
-    whole = _are_whole(values)
+    whole = are_whole(values)
     known = [(at, 0.0) for at in (*COUNTER_WRAPS, *(WHOLE_ANGLE_WRAPS if whole else ()))]
     known += [] if whole else [(at, WRAP_TOLERANCE * at) for at in ANGLE_WRAPS]
     fitting = [at for at, tolerance in known if abs(found.size - at) <= found.doubt + tolerance]
@@ -108,7 +113,7 @@ def stamp_wrap_of(values: Floats, day: float = math.inf) -> float | None:
     found = _jumps(values)
     if found is None:
         return None
-    able = [*(STAMP_WRAPS if _are_whole(values) else ()), day]
+    able = [*(STAMP_WRAPS if are_whole(values) else ()), day]
     return next((at for at in able if abs(found.size - at) <= found.doubt), None)
 
 
@@ -134,13 +139,14 @@ def _jumps(values: Floats) -> _Jumps | None:
     changes = np.abs(small[behind] - small[np.maximum(behind - 1, 0)])  # of the motion, at the jumps
     usual = float(np.quantile(np.abs(np.diff(small)), 0.9)) if small.size > 1 else 0.0
     size = float(np.median(sizes))
-    doubt = max(2.0 * usual, float(np.median(changes))) + (1.0 if _are_whole(values) else 1e-9 * size)
+    doubt = max(2.0 * usual, float(np.median(changes))) + (1.0 if are_whole(values) else 1e-9 * size)
     moving = np.abs(small[small != 0.0])
     alike = sizes.size > 1 and float(np.median(np.abs(sizes - size))) <= doubt
     return _Jumps(size, doubt, float(moving.min()) if moving.size else size, alike)
 
 
-def _are_whole(values: Floats) -> bool:
+def are_whole(values: Floats) -> bool:
+    """Whether values (n,) are whole numbers, those that are missing apart."""
     given = values[np.isfinite(values)]
     return bool(np.array_equal(given, np.round(given)))
 
@@ -171,7 +177,7 @@ TWOS, MAGNITUDE, OFFSET = "two's complement", "sign and magnitude", "offset bina
 def sign_bit_of(values: Floats) -> Register | None:
     """The highest bit of whole positive numbers (n,), which may be their sign; None of others."""
     given = values[np.isfinite(values)]
-    if given.size < LEAST_STEPS or given.min() < 0.0 or given.max() < LEAST_REGISTER or not _are_whole(given):
+    if given.size < LEAST_STEPS or given.min() < 0.0 or given.max() < LEAST_REGISTER or not are_whole(given):
         return None
     return Register(MAGNITUDE, 2.0 ** math.floor(math.log2(given.max())))
 
@@ -185,29 +191,36 @@ def register_of(values: Floats, counter: bool = False) -> Register | None:
     if found is None:
         return None
     given, bit = values[np.isfinite(values)], found.at
-    if not counter and bit in (2.0**15, 2.0**31):
-        middle = (given > 2.0 * OUTER * bit) & (given < 2.0 * (1.0 - OUTER) * bit)
-        if not middle.any() and (given < 2.0 * OUTER * bit).any():
-            return Register(TWOS, 2.0 * bit)
+    if not counter and bit in (WORD, WORD**2 * 2.0):  # nothing between small numbers and those with the bit
+        low, high = given[given < bit], given[given >= bit]
+        if low.size and low.max() < 0.5 * bit:
+            if high.min() > 1.5 * bit:
+                return Register(TWOS, 2.0 * bit)
+            if high.max() < 1.5 * bit:
+                return found
     crossing = np.diff(given >= bit)
     raw, folded = np.abs(np.diff(given)), np.abs(np.diff(signed(given, found)))
     if int(crossing.sum()) >= 2 and not crossing.all():
         # through zero the number goes on as it does elsewhere; what lies in the register jumps by the bit
         usual = CROSSING * float(np.quantile(folded[~crossing], 0.9)) + 1.0
-        if float(np.median(folded[crossing])) <= usual < float(np.median(raw[crossing])):
+        if float(np.median(folded[crossing])) <= usual < min(float(np.median(raw[crossing])), 0.5 * bit):
             return found
     return None
 
 
-def offset_of(values: Floats) -> Register | None:
-    """A power of two about which whole positive numbers (n,) swing to both sides, as of a converter without a sign."""
+def offset_of(values: Floats, least: float = LEAST_REGISTER) -> Register | None:
+    """A power of two about which whole positive numbers (n,) swing to both sides, as of a converter without a sign.
+
+    `least`: smallest one that may be it.
+    """
     given = values[np.isfinite(values)]
-    if not given.size or given.min() < 0.0 or given.max() < LEAST_REGISTER or not _are_whole(given):
+    if not given.size or given.min() < 0.0 or given.max() < LEAST_REGISTER or not are_whole(given):
         return None
     zero = 2.0 ** round(math.log2(max(float(np.median(given)), 1.0)))
     below, above = zero - float(given.min()), float(given.max()) - zero
     balanced = min(below, above) > (1.0 - LARGE_JUMP) * max(below, above)
-    return Register(OFFSET, zero) if balanced and zero >= LEAST_REGISTER and below > OUTER**2 * zero else None
+    wide = zero >= WORD or below > OUTER**2 * zero
+    return Register(OFFSET, zero) if balanced and zero >= least and wide else None
 
 
 def signed(values: Floats, register: Register | None) -> Floats:
@@ -256,10 +269,16 @@ def smoothed(values: Floats) -> Floats:
     return np.asarray(scipy.ndimage.uniform_filter1d(values, SMOOTH_SAMPLES))
 
 
+def _thinned(values: Floats) -> Floats:
+    """Every so many of values (n,), MOST_POINTS of them and not twice as many."""
+    return values[:: max(1, values.size // MOST_POINTS)]
+
+
 def relation(one: Floats, other: Floats) -> Relation:
     """Least squares of `one` on `other`, (n,) each, without constants."""
+    one, other = _thinned(one), _thinned(other)
     use = np.isfinite(one) & np.isfinite(other)
-    one, other = one[use][:MOST_POINTS], other[use][:MOST_POINTS]
+    one, other = one[use], other[use]
     power, own = float(other @ other), float(one @ one)
     if power <= 0.0 or own <= 0.0:
         return Relation(0.0, 0.0)
@@ -271,20 +290,22 @@ class Driven(NamedTuple):
     """What a column that may drive the axis has in common with its motion."""
 
     share: float  # R^2 by inertia and friction
+    inertia: float  # of the column, in its unit and that of the acceleration
     against: bool  # it takes power out on the whole, and opposes the acceleration: its sign is reversed
 
 
 def driven_by(column: Floats, velocity: Floats, acceleration: Floats) -> Driven:
     """How much of a column (n,) inertia and friction explain, and whether its sign is that of the motion."""
+    column, velocity, acceleration = _thinned(column), _thinned(velocity), _thinned(acceleration)
     sign = np.tanh(velocity / max(0.05 * float(np.quantile(np.abs(velocity), 0.9)), 1e-12))
     matrix = np.stack([acceleration, velocity, sign, np.ones_like(sign)], axis=1)
     use = np.isfinite(column) & np.isfinite(matrix).all(axis=1)
-    matrix, target = matrix[use][:MOST_POINTS], column[use][:MOST_POINTS]
+    matrix, target = matrix[use], column[use]
     if target.size < LEAST_STEPS or float(np.ptp(target)) == 0.0:
-        return Driven(0.0, False)
+        return Driven(0.0, 0.0, False)
     found = least_squares(matrix, target)
     share = 1.0 - float(np.var(found.residual)) / float(np.var(target))
-    return Driven(share, float(target @ matrix[:, 1]) < 0.0 and float(found.values[0]) < 0.0)
+    return Driven(share, float(found.values[0]), float(target @ matrix[:, 1]) < 0.0 and float(found.values[0]) < 0.0)
 
 
 def rises(values: Floats) -> bool:

@@ -22,9 +22,9 @@ from ..documents import did_you_mean
 from ..recording.errors import RecordingError
 from .candidates import POSITION_REV, SETPOINT_REV, AnswerNeededError
 from .evidence import bridged, relation
+from .motion import LIKE
 from .names import POSITION, VELOCITY, meaning_of
 from .source import Source
-from .times import LIKE
 from .units import split_name
 
 ALL = "all"  # in place of a joint

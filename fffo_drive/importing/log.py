@@ -8,14 +8,15 @@ from __future__ import annotations
 import contextlib
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from .. import units
 from ..documents import did_you_mean
 from ..recording.errors import RecordingError
-from ..signals import REFERENCE_POSITION, SIGNALS, TEMPERATURE
+from ..signals import MEASURED_TORQUE, REFERENCE_POSITION, SIGNALS, TEMPERATURE
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
@@ -32,12 +33,14 @@ from .evidence import says_nothing
 from .joints import chosen, episodes_of
 from .read import read_source, short_name
 from .recognise import recognise
-from .source import Source
+from .source import Source, source_of_arrays
 from .times import RateNeededError, runs_of
 from .units import UNITS, unit_of
 
 STATUSWORD = "statusword"  # read where it is declared: other programs may write it in hexadecimal
-OURS = {TIME_S: "s"} | {s.name: s.unit for s in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE) if s.dtype == "<f8"}
+OURS = {TIME_S: "s"} | {
+    s.name: s.unit for s in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE, MEASURED_TORQUE) if s.dtype == "<f8"
+}
 SIGNAL_UNITS = OURS | {STATUSWORD: "-"}
 READ_DIRECTLY = "A"  # unit of the input that needs no word about the torque constant
 
@@ -53,6 +56,20 @@ def read_log(path: Path | str, hints: Hints | None = None) -> Converted:
         source = read_source(path, hints.drive)
         log = _as_declared(source, hints) if _declared(source, hints) else _without_doubt(source, hints)
     return log._replace(remarks=tuple(f"{source.said}: {remark}" for remark in log.remarks))
+
+
+def log_of_arrays(name: str, arrays: Mapping[str, Any], hints: Hints | None = None) -> Converted:
+    """Signals of arrays (n,) by any name, as `import` reads a file that has them as columns; `doubts` are its own.
+
+    Raises RecordingError for what cannot be recognised, and for a doubt that changes the inertia by more than a tenth.
+    """
+    hints = hints or Hints()
+    source = source_of_arrays(Path(name), arrays)
+    ((source,),) = chosen([_one_run(source, hints)], hints.joint).values()
+    found = recognise(source, hints)
+    if found.grave:
+        raise RecordingError(f"{name}: {found.grave[0]}: the inertia depends on it: say it by `columns` or `units`")
+    return converted(source, found, hints.drop, from_zero=False)
 
 
 @contextlib.contextmanager

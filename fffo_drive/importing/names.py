@@ -30,6 +30,7 @@ from .units import (
     TORQUE,
     UNITS,
     VOLTAGE,
+    bare_name,
     turn_of,
 )
 
@@ -37,12 +38,13 @@ POSITION, VELOCITY, ENABLE = "position", "velocity", "enable"
 INPUTS = (CURRENT, TORQUE, VOLTAGE)  # what drives the axis, the best first
 
 _WORDS = {
-    TIME: "t time timestamp timestamps zeit zeitstempel stamp seconds sec secs elapsed uptime today temps tempo tiempo",
+    TIME: "t time timestamp timestamps zeit zeitstempel stamp seconds sec secs nanosec nsec elapsed uptime today temps "
+    "tempo tiempo",
     POSITION: "pos position positions angle angles theta phi winkel lage posizione posicion angolo angulo qpos posicao",
     VELOCITY: "vel velo velocity velocities speed spd geschwindigkeit drehzahl omega w dq qd qdot rpm erpm qvel "
     "vitesse velocita velocidad",
     ACCELERATION: "acc accel acceleration beschleunigung ddq qdd qacc",
-    CURRENT: "curr current currents strom iq amp amps amperes isq courant corrente corriente",
+    CURRENT: "cur curr current currents strom iq amp amps amperes isq courant corrente corriente",
     TORQUE: "torque torques tau moment drehmoment trq mom effort efforts force kraft load gtau couple coppia qfrc",
     VOLTAGE: "volt volts voltage spannung vir pwm duty uq vq tension tensione",
     ENABLE: "enable enabled",
@@ -61,8 +63,8 @@ _RATES = _listed("dot rate deriv derivative punkt")  # of a position: its veloci
 _QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
 _DEVICE = {word: quantity for quantity, words in _DEVICES.items() for word in words.split()}
 _ASKED = _listed(
-    "ref reference des desired target cmd command commanded set setpoint soll sollwert goal demand demanded dmd dem "
-    "requested request req setvalue sp vorgabe vorgegeben consigne consigna riferimento referencia cible action"
+    "ref reference des desired target cmd command commanded set setpoint control soll sollwert goal demand demanded "
+    "dmd dem requested request req setvalue sp vorgabe vorgegeben consigne consigna riferimento referencia cible action"
 )
 _MEASURED = _listed(
     "act actual meas measured ist istwert fb feedback real mess messwert present mesure misurata medida estimate"
@@ -70,7 +72,8 @@ _MEASURED = _listed(
 # of the supply, of a phase, of a model, or of a limit: not what drives the axis
 _ASIDE = _listed(
     "input bus battery dc supply link id vd ud error err fault following deviation limit max min count counter index "
-    "alpha beta ia ib ic predicted prediction model modelled modeled simulated expected"
+    "alpha beta ia ib ic reactive magnetising magnetizing "
+    "magnetisierung predicted prediction model modelled modeled simulated expected"
 )
 _ELSEWHERE = _listed("mos fet mosfet board driver inverter bridge igbt ambient cpu")  # a temperature's place
 _OF_UNIT = {
@@ -81,6 +84,7 @@ _OF_UNIT = {
 _LETTERS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _MOTION = {word for word, of in _QUANTITY.items() if of in (POSITION, VELOCITY)}  # "current speed" is one, now
 _AXES = {"i": CURRENT, "u": VOLTAGE, "v": VOLTAGE}  # i_q, u_q: not the coordinate q
+_SENSORS = _listed("shaft sensor transducer cell messwelle capteur sensore aufnehmer")
 _FILLERS = _listed("motor achse axis joint shaft wert value")
 _KNOWN = {*_QUANTITY, *_DEVICE, *_RATES, *_ASKED, *_MEASURED, *_ASIDE, *_FILLERS}
 LEAST_PART = 3  # letters of a word within a compound: "Sollstrom", "thetadot"
@@ -134,9 +138,14 @@ def _quantity_of(tokens: list[str]) -> str | None:
     return found
 
 
+def names_a_sensor(name: str) -> bool:
+    """Whether a heading says that a sensor of its own measured: of a torque beside a current."""
+    return not _SENSORS.isdisjoint(_tokens(name))
+
+
 def meaning_of(name: str, unit: str | None) -> Meaning:
     """The meaning of a heading with its unit: a unit says more than a word, but shares and counts say nothing."""
-    tokens = _tokens(name)
+    tokens = _tokens(bare_name(name, unit))
     measures = UNITS[unit].measures if unit else None
     quantity = _OF_UNIT.get(measures or "") or _quantity_of(tokens)
     if measures in (SHARE, COUNT) and quantity is None:

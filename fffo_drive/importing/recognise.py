@@ -16,11 +16,13 @@ from ..documents import did_you_mean
 from .candidates import (
     COMMAND_A,
     CURRENT_A,
+    MEASURED_TORQUE_NM,
     POSITION_REV,
     REFERENCE_RPS,
     SAME,
     SETPOINT_REV,
     TEMPERATURE_DEGC,
+    TIME_S,
     VELOCITY_RPS,
     AnswerNeededError,
     Column,
@@ -30,6 +32,7 @@ from .candidates import (
 )
 from .evidence import (
     OFFSET,
+    are_whole,
     bridged,
     driven_by,
     is_flag,
@@ -40,16 +43,23 @@ from .evidence import (
     signed,
     smoothed,
 )
-from .motion import Motions
-from .names import ENABLE, INPUTS, POSITION, VELOCITY
+from .motion import CLOSE, CONTRADICTING, EXPLAINS, LIKE, MEASURED, SPEED_UNITS, Motions
+from .names import ENABLE, INPUTS, POSITION, VELOCITY, names_a_sensor
 from .source import Source
-from .times import SLOPE_TOLERANCE
-from .units import ANGLE, COUNT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
+from .units import ANGLE, COUNT, CURRENT, FORCE, LENGTH, SHARE, TORQUE, UNITS, VOLTAGE, unknown_unit
 from .units import TEMPERATURE as TEMPERATURE_OF
 
 EXPLAINED = 0.3  # of a column by inertia and friction, for one that has no name
 PERFECT = 0.99  # ... of a measured one; what a model or a controller computed has more
+COMPUTED, ITSELF = -3.0, -20.0  # log, of a measured column that is explained so well, and of the velocity itself
+OF_THE_CURRENT = 0.99  # correlation of a torque that no heading calls that of a sensor
+SAME_INERTIA = 0.02  # of two columns either of which may be taken
+NOTHING = -10.0
+QUANTITIES = {CURRENT: 0.0, TORQUE: -1.0, VOLTAGE: -4.0}  # log, of each of what may drive an axis
 SIGN_GAIN = 0.5  # of what inertia and friction leave of a column: less is left of it with its sign
+LARGEST_A = 200.0  # of a servo axis: more are mA
+PLAUSIBLE_A = (0.5, 40.0)  # peaks of a current of which nobody says the unit, and which has digits below one
+PLAUSIBLE_MA = (400.0, 40e3)  # likewise; less may be a share of the rated current
 PLAUSIBLE_DEGC = (-40.0, 150.0)  # of a motor
 
 
@@ -60,20 +70,18 @@ def recognise(source: Source, hints: Hints | None = None) -> Recognition:
 
 class _Recogniser(Motions):
     def run(self) -> Recognition:
-        period_s = self._time()
+        time = self._time()
         enable = next((c.name for c in self._free() if c.meaning.quantity == ENABLE and is_flag(c.values)), None)
         if enable:
             self.columns.pop(enable)
         for name in [c.name for c in self._free() if says_nothing(c.values) and not c.meaning.asked]:
             self.columns.pop(name)
-        position, velocity = self._named_motion()
-        if position is None and velocity is None:
-            position, velocity = self._pair_by_data()
+        position, velocity = self._motion_columns()
         if position is None and velocity is None:
             position = self._pick(POSITION_REV, POSITION, asked=True)
         if position is None and velocity is None:
             self._refuse("neither a position nor a velocity", "--velocity COLUMN or --position COLUMN")
-        self._motion_units(position, velocity)
+        self._motion_units(time, position, velocity)
         self._reference_encoder()
         self._references()
         torque_unit = self._inputs()
@@ -82,8 +90,16 @@ class _Recogniser(Motions):
         self._tell_registers_and_doubts()
         used = {guess.column for guess in self.guesses.values()} | {enable}
         left = tuple(name for name in self.source.columns if name not in used)
+        period_s = None if TIME_S in self.guesses else self._period_s
         return Recognition(
-            tuple(self.guesses.values()), period_s, self.linear, torque_unit, enable, left, tuple(self.remarks)
+            tuple(self.guesses.values()),
+            period_s,
+            self.linear,
+            torque_unit,
+            enable,
+            left,
+            tuple(self.remarks),
+            tuple(self.grave),
         )
 
     def _refuse_unknown_units(self) -> None:
@@ -129,14 +145,26 @@ class _Recogniser(Motions):
             factor, unit, sure = math.copysign(UNITS[column.unit].factor, followed.factor), column.unit, True
         elif column.unit not in (None, self.columns[followed.column].unit):
             return self._leave_out(column, followed)
-        elif velocity is not None:
-            factor, unit, sure = velocity.factor, velocity.unit, velocity.sure
         else:
-            factor, unit, sure = followed.factor, f"{followed.unit}/s", followed.sure
+            factor, unit, sure = self._unit_that_is_followed(column, velocity or followed)
         if factor < 0.0:
             evidence += f", sign reversed as that of {followed.column!r}"
         self._take(REFERENCE_RPS, column, unit, factor, evidence, sure)
         return None
+
+    def _unit_that_is_followed(self, column: Column, followed: Guess) -> tuple[float, str, bool]:
+        """Factor and unit of a velocity that was asked for in no unit: that in which the motion follows it."""
+        motion = self._motion()[0]
+        asked = bridged(column.values)
+        found = relation(motion, asked)
+        sign = math.copysign(1.0, followed.factor)
+        unit = followed.unit if followed.signal == VELOCITY_RPS else f"{followed.unit}/s"
+        if self.linear or abs(found.correlation) < LIKE:
+            return followed.factor, unit, followed.sure
+        away, other = min((abs(math.log(abs(found.slope) / UNITS[u].factor)), u) for u in SPEED_UNITS)
+        if away > CONTRADICTING:
+            return followed.factor, unit, followed.sure
+        return sign * UNITS[other].factor, other, followed.sure
 
     def _setpoint(self, column: Column, followed: Guess) -> None:
         """A position that was asked for: in its own unit, else in that of the position."""
@@ -168,7 +196,7 @@ class _Recogniser(Motions):
             if c.meaning.quantity is None and SETPOINT_REV not in self.hints.roles:
                 other = bridged(c.values)
                 found = relation(other - other.mean(), own - own.mean())
-                if found.correlation > SAME and abs(found.slope - 1.0) < SLOPE_TOLERANCE:
+                if found.correlation > SAME and abs(found.slope - 1.0) < CONTRADICTING:
                     return c
         return None
 
@@ -179,10 +207,8 @@ class _Recogniser(Motions):
                 self.columns[column.name] = self._with_sign(column, velocity, acceleration)
         found: dict[str, Column] = {}
         for signal, asked in ((COMMAND_A, True), (CURRENT_A, False)):
-            for quantity in INPUTS:
-                if signal not in found:
-                    taken = self._pick_input(signal, quantity, asked, velocity, acceleration)
-                    found |= {} if taken is None else {signal: taken}
+            taken = self._pick_input(signal, asked, velocity, acceleration)
+            found |= {} if taken is None else {signal: taken}
         measured = found.get(CURRENT_A)
         if (
             COMMAND_A not in found
@@ -191,6 +217,7 @@ class _Recogniser(Motions):
             and not measured.meaning.measured
         ):
             found = {COMMAND_A: measured}  # what an amplifier is given
+        self._torque_sensor(found, velocity, acceleration)
         kinds = {signal: c.meaning.quantity or "" for signal, c in found.items()}
         if len(set(kinds.values())) == 2:  # a current beside a torque: one unit for both
             worse = max(found, key=lambda s: (INPUTS.index(kinds[s]), s == CURRENT_A))
@@ -207,17 +234,13 @@ class _Recogniser(Motions):
             unnamed = [c for c in self._free() if c.meaning.quantity is None and not is_flag(c.values)]
             unnamed = [self._with_sign(c, velocity, acceleration) for c in unnamed]
             self.columns |= {c.name: c for c in unnamed}
-            shares = {
-                c.name: driven_by(c.values, velocity, acceleration).share for c in self._no_motion(unnamed, velocity)
-            }
-            ranked = sorted(
-                (n for n in shares if shares[n] > EXPLAINED), key=lambda n: (shares[n] > PERFECT, -shares[n])
-            )
-            if not ranked:
+            likely = {c.name: self._likely(c, velocity, acceleration, False) for c in unnamed}
+            able = sorted((c for c in unnamed if likely[c.name] > EXPLAINED * EXPLAINS), key=lambda c: -likely[c.name])
+            if not able:
                 self._refuse("no current or torque", "--command COLUMN")
-            found[COMMAND_A] = self.columns[ranked[0]]
-            if ranked[1:]:
-                self._doubt(COMMAND_A, f"others may be it as well: {', '.join(map(repr, ranked[1:]))}")
+            found[COMMAND_A] = able[0]
+            if able[1:]:
+                self._doubt(COMMAND_A, f"others may be it as well: {', '.join(repr(c.name) for c in able[1:])}")
         if COMMAND_A not in found:
             self.remarks.append(f"no command: {found[CURRENT_A].name!r}, which is measured, stands in for it")
         unit = self._input_unit(next(iter(found.values())))
@@ -225,31 +248,84 @@ class _Recogniser(Motions):
             self.guesses[signal] = self._input(signal, column, unit, velocity, acceleration)
         return unit
 
-    def _pick_input(
-        self, signal: str, quantity: str, asked: bool, velocity: Floats, acceleration: Floats
-    ) -> Column | None:
-        """What drives the axis: measured before unsaid, and before what inertia and friction explain too well."""
+    def _pick_input(self, signal: str, asked: bool, velocity: Floats, acceleration: Floats) -> Column | None:
+        """The likeliest of what may drive the axis; a close second that is another signal is a doubt."""
         if signal in self.hints.roles:
             hinted = self._hinted(signal)
             if hinted is not None:
                 self.columns[hinted.name] = hinted = self._with_sign(hinted, velocity, acceleration)
             return hinted
-        candidates = self._candidates(signal, quantity, asked)
-        found = self._no_motion(candidates, velocity)
-        if candidates and not found:
+        able = [c for quantity in INPUTS for c in self._candidates(signal, quantity, asked)]
+        if not able:
+            return None
+        scores = {c.name: self._likely(c, velocity, acceleration, not asked) for c in able}
+        able.sort(key=lambda c: -scores[c.name])
+        taken, *others = able
+        if scores[taken.name] < NOTHING:
             self._doubt(signal, "it is the velocity itself under another name")
-            return candidates[0]
-        if len(found) < 2:
-            return next(iter(found), None)
-        shares = {c.name: driven_by(c.values, velocity, acceleration).share for c in found}
-        found.sort(key=lambda c: (not c.meaning.measured, shares[c.name] > PERFECT))
-        taken, *others = found
-        rivals = [c for c in others if c.meaning.measured >= taken.meaning.measured and not self._same(c, taken)]
-        self._name_others(signal, taken, others, doubt=bool(rivals))
-        if rivals:
-            told = (f"{c.name!r} {100.0 * max(shares[c.name], 0.0):.3g} %" for c in (taken, *rivals))
-            self._doubt(signal, f"inertia and friction explain {', '.join(told)} (above 99 %: not measured, computed)")
+        others = [c for c in others if not self._is_torque_sensor(c, taken)]
+        rivals = [c for c in others if scores[c.name] > scores[taken.name] - CLOSE and not self._same(c, taken)]
+        doubts = []
+        for rival in rivals:
+            own, other = (driven_by(c.values, velocity, acceleration) for c in (taken, rival))
+            alike = rival.meaning.quantity == taken.meaning.quantity and own.inertia != 0.0
+            ratio = other.inertia * self._size(rival) / (own.inertia * self._size(taken)) if alike else math.inf
+            if abs(abs(ratio) - 1.0) < SAME_INERTIA and (own.share > PERFECT) == (other.share > PERFECT):
+                continue  # it does not matter which
+            doubts.append(rival)
+            told = (f"{c.name!r} {100.0 * max(d.share, 0.0):.3g} %" for c, d in ((taken, own), (rival, other)))
+            said = f"inertia and friction explain {', '.join(told)} (above 99 %: not measured, computed)"
+            self._doubt(signal, said + (f"; by it the inertia is {ratio:.3g} times this" if alike else ""), ratio)
+        if others:
+            self._name_others(signal, taken, others, doubt=bool(doubts))
         return taken
+
+    def _torque_sensor(self, found: dict[str, Column], velocity: Floats, acceleration: Floats) -> None:
+        """A torque in a unit beside a current: measured by a sensor, or the current times a constant."""
+        current = found.get(CURRENT_A) or found.get(COMMAND_A)
+        hinted = self._hinted(MEASURED_TORQUE_NM) if MEASURED_TORQUE_NM in self.hints.roles else None
+        if current is None or (hinted is None and MEASURED_TORQUE_NM in self.hints.roles):
+            return
+        torques = [c for c in self._candidates(MEASURED_TORQUE_NM, TORQUE, False) if self._is_torque_sensor(c, current)]
+        torques = [c for c in torques if abs(relation(smoothed(bridged(c.values)), velocity).correlation) < SAME]
+        column = hinted or next(iter(torques), None)
+        if column is None or column.name in {c.name for s, c in found.items() if s == COMMAND_A}:
+            return
+        unit = column.unit or ("N" if self.linear else "Nm")
+        factor = UNITS[unit].factor
+        own = relation(column.values * factor, bridged(current.values) * self._size(current))
+        if abs(own.correlation) > OF_THE_CURRENT and hinted is None and not names_a_sensor(column.name):
+            self.remarks.append(
+                f"{column.name!r} is {own.slope:.4g} Nm/A times {current.name!r}: the drive computed it, or "
+                f"--torque-sensor {shlex.quote(column.name)}"
+            )
+        else:
+            if found.get(CURRENT_A) is column:
+                del found[CURRENT_A]
+            factor = math.copysign(factor, own.slope) * (
+                -1.0 if self._opposes(current, velocity, acceleration) else 1.0
+            )
+            evidence = f"measured beside {current.name!r}, {own.slope:.4g} times it (r = {own.correlation:.3f})"
+            self._take(MEASURED_TORQUE_NM, column, unit, factor, evidence, column.unit is not None)
+
+    @staticmethod
+    def _opposes(column: Column, velocity: Floats, acceleration: Floats) -> bool:
+        driven = driven_by(column.values, velocity, acceleration)
+        return driven.against and driven.share > EXPLAINED
+
+    def _likely(self, column: Column, velocity: Floats, acceleration: Floats, measured: bool) -> float:
+        """Log of how likely a column drives the axis: by its heading, and by how inertia and friction explain it."""
+        if abs(relation(smoothed(bridged(column.values)), velocity).correlation) > SAME:
+            return ITSELF
+        share = max(driven_by(column.values, velocity, acceleration).share, 0.0)
+        said = MEASURED * (measured and column.meaning.measured) + QUANTITIES.get(column.meaning.quantity or "", 0.0)
+        return said + EXPLAINS * share + (COMPUTED if measured and share > PERFECT else 0.0)
+
+    def _is_torque_sensor(self, column: Column, input_: Column) -> bool:
+        """Whether a column is a torque in a unit beside a current, and no multiple of it."""
+        kinds = (TORQUE, CURRENT) if not self.linear else (FORCE, CURRENT)
+        known = column.unit is not None and UNITS[column.unit].measures == kinds[0]
+        return known and input_.meaning.quantity == CURRENT and not column.meaning.asked
 
     def _with_sign(self, column: Column, velocity: Floats, acceleration: Floats) -> Column:
         """An input with the sign in its highest bit, where inertia and friction explain that so much better.
@@ -266,11 +342,6 @@ class _Recogniser(Motions):
         better = after > EXPLAINED and 1.0 - after < SIGN_GAIN * (1.0 - before)
         return column._replace(values=values, register=found) if better else column
 
-    def _no_motion(self, candidates: list[Column], velocity: Floats) -> list[Column]:
-        """Without the columns that are the velocity itself under another name."""
-        alike = {c.name: abs(relation(smoothed(bridged(c.values)), velocity).correlation) for c in candidates}
-        return [c for c in candidates if alike[c.name] <= SAME]
-
     def _input_unit(self, column: Column) -> str:
         if column.unit is None:
             return {TORQUE: "N" if self.linear else "Nm", VOLTAGE: "V"}.get(column.meaning.quantity or "", "A")
@@ -278,15 +349,22 @@ class _Recogniser(Motions):
         return {TORQUE: "Nm", FORCE: "N", VOLTAGE: "V", SHARE: column.unit, COUNT: column.unit}.get(measures, "A")
 
     def _input(self, signal: str, column: Column, unit_of_inputs: str, velocity: Floats, acceleration: Floats) -> Guess:
-        unit = column.unit
-        factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
+        unit, sure = column.unit, column.unit is not None
         driven = driven_by(column.values, velocity, acceleration)
         evidence = f"{100.0 * max(driven.share, 0.0):.0f} % of it is inertia and friction"
-        if unit is None:
+        if unit is None and column.meaning.quantity == CURRENT:
+            peak = float(np.nanquantile(np.abs(column.values), 0.99))
+            unit = "A" if peak < LARGEST_A else "mA"
+            low, high = PLAUSIBLE_A if unit == "A" else PLAUSIBLE_MA
+            sure = low < peak < high and not are_whole(column.values)
+            how = f"is {unit} by its peaks of {peak:.3g}" if sure or unit != "A" else "A is assumed"
+            evidence = f"no unit is given, {how}; {evidence}"
+        elif unit is None:
             evidence = f"no unit is given, {self._input_unit(column)} is assumed; {evidence}"
-        if driven.against and driven.share > EXPLAINED:
+        factor = UNITS[unit].factor / UNITS[unit_of_inputs].factor if unit else 1.0
+        if self._opposes(column, velocity, acceleration):
             factor, evidence = -factor, evidence + "; it opposes the motion, so its sign is reversed"
-        return Guess(signal, column.name, unit or "-", factor, None, None, evidence, unit is not None)
+        return Guess(signal, column.name, unit or "-", factor, None, None, evidence, sure)
 
     def _temperature(self) -> None:
         column = self._pick(TEMPERATURE_DEGC, TEMPERATURE_OF, asked=False)

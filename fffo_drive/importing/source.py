@@ -35,6 +35,8 @@ class TraceDrive:
     profile_keys: Mapping[str, Any] = field(default_factory=dict)  # likewise, of its family
     profile_named: bool = False  # by the user; else by the vendor's number in the EDS
     torque_constant_nm_per_a: float | None = None
+    files: tuple[str, ...] = ()  # as the user names them
+    scales: Mapping[str, float] = field(default_factory=dict)  # likewise
 
     @property
     def for_a_trace(self) -> bool:

@@ -36,6 +36,7 @@ MISSING = {"", "nan", "null", "none", "n/a", "na", "#n/a", "-", "--", "nil", "?"
 WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0}
 MOST_UNREADABLE = 0.05  # of the rows or of a column's cells, that may be missing as unreadable
 COMMENTS = "#%"
+LEAST_UNITS = 2  # of a line of units that many columns have none of
 MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 TICKS_PER_MS = 10_000  # of a Windows FILETIME
 FILETIMES = 1e15  # no count of milliseconds is so large
@@ -144,7 +145,7 @@ def _seconds(text: str, day_first: bool = True) -> float | None:
             hour = hour % 12 + (12 if clock["half"].upper() == "PM" else 0)
         whole = DAY_S * int(clock["days"] or 0) + 3600.0 * hour + 60.0 * int(clock["m"])
         return whole + float(clock["s"].replace(",", "."))
-    if not text[:1].isdigit() or _NUMBER.fullmatch(text):
+    if not text[:1].isdigit() or "\t" in text or _NUMBER.fullmatch(text):
         return None
     try:
         date = _DATE.fullmatch(text)
@@ -180,13 +181,12 @@ def _clocks(columns: dict[str, Floats], cells: Mapping[str, str]) -> dict[str, F
 def _layout(lines: Sequence[str], path: Path) -> Layout:
     """Of all pairs of delimiter and decimal sign, the one that reads the most numbers in lines of one length.
 
-    Columns of text are looked for only where no line holds numbers alone.
+    Columns of text are looked for as well: without them where that reads as many.
     """
-    for texts in (False, True):
-        ways = [(decimal, delimiter) for decimal in ".," for delimiter in DELIMITERS if delimiter != decimal]
-        found = [one for decimal, sign in ways if (one := _read_as(lines, sign, decimal, texts)) is not None]
-        if found:
-            return max(found, key=lambda one: one[0])[1]
+    ways = [(decimal, delimiter) for decimal in ".," for delimiter in DELIMITERS if delimiter != decimal]
+    found = [one for texts in (False, True) for decimal, sign in ways if (one := _read_as(lines, sign, decimal, texts))]
+    if found:
+        return max(found, key=lambda one: one[0])[1]
     raise RecordingError(f"{path}: no lines of numbers in it{_not_understood(lines)}")
 
 
@@ -212,9 +212,9 @@ def _read_as(lines: Sequence[str], delimiter: str, decimal: str, texts: bool) ->
         rows = _without_texts(split, rows)
     numbers: list[int] = []
     sizes: list[int] = []
-    for values in rows:
+    for cells, values in zip(split, rows, strict=True):
         whole = bool(values) and all(v is not None for v in values) and any(v == v for v in values)
-        numbers.append(sum(v == v for v in values) if whole else 0)
+        numbers.append(sum(v == v for v in values) - _parted(cells) if whole else 0)
         sizes.append(len(values) if whole else 0)
     counted = [size for size in sizes if size]
     if not counted:
@@ -231,6 +231,11 @@ def _read_as(lines: Sequence[str], delimiter: str, decimal: str, texts: bool) ->
         own[0],
     )
     return sum(numbers[k] for k in own if k >= first), Layout(delimiter, decimal, usual, first)
+
+
+def _parted(cells: list[str]) -> int:
+    """How many stamps are cut in two between their date and their clock: a blank that separates no columns."""
+    return sum(":" in after and _DATE.fullmatch(cell) is not None for cell, after in itertools.pairwise(cells))
 
 
 def _without_texts(split: list[list[str]], rows: list[list[float | None]]) -> list[list[float | None]]:
@@ -321,9 +326,9 @@ def _fitted(cells: list[str], row: str, layout: Layout) -> list[str] | None:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Whether a line holds units: each cell is one, or empty, and half of them are."""
+    """Whether a line holds units: each cell is one, or empty, and half or several of them are."""
     known = [unit_of(cell) is not None for cell in cells]
-    return 2 * sum(known) >= len(cells) and all(
+    return (2 * sum(known) >= len(cells) or sum(known) >= LEAST_UNITS) and all(
         one or cell in ("", "-", "[]", "()") for one, cell in zip(known, cells, strict=True)
     )
 

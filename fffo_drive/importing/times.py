@@ -7,28 +7,25 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Floats
-from .candidates import POSITION_REV, TIME_S, VELOCITY_RPS, AnswerNeededError, Candidates, Column, Hints
+from .candidates import TIME_S, AnswerNeededError, Candidates, Column, Hints, Option
 from .evidence import (
     DAY_S,
+    are_whole,
     begins_anew,
     bridged,
     counts_rows,
     is_time,
-    relation,
     rises,
-    smooth_derivative,
-    smoothed,
     stamp_wrap_of,
     unwrapped,
 )
-from .names import POSITION, VELOCITY
 from .source import Source
-from .units import ANGLE, COUNT, LENGTH, PACE, SPEED, TIME, UNITS
+from .units import TIME, UNITS
 
 PLAUSIBLE_HZ = (5.0, 50_000.0)  # of the rate of a log
-LIKE = 0.9  # correlation of a velocity with the derivative of the position
 LEAST_STEPPING = 0.5  # of the stamps; with fewer the clock is coarser than the sampling
-SLOPE_TOLERANCE = 0.05
+ROUNDED = 2.5  # median steps: what rounding makes of one
+IMPLAUSIBLE, LIE, UNLIKELY = -8.0, -5.0, -4.0  # log of a rate that no log has, of a wrong heading, of ms with digits
 NICE_RATE = 0.005  # how far a rate from a motion may be from a round one
 
 
@@ -46,90 +43,75 @@ class Times(Candidates):
         named = [c for c in columns if c.meaning.quantity == TIME and rises(c.values)]
         first = columns[:1] if columns and columns[0].meaning.quantity is None and is_time(columns[0].values) else []
         anywhere = [c for c in columns if c.meaning.quantity is None and is_time(c.values)]
-        found = sorted([*named, *first, *anywhere], key=self._is_row_number)
+        found = sorted([*named, *first, *anywhere], key=lambda c: (self._is_row_number(c), not _goes_on(c.values)))
         return next(iter([hinted] if hinted else found), None)
 
     def _is_row_number(self, column: Column) -> bool:
         timed = column.unit is not None and UNITS[column.unit].measures == TIME
         return not timed and counts_rows(column.values)
 
-    def _time(self) -> float | None:
+    def _time(self) -> list[Option]:
+        """The units that the time may be in; the likeliest is first and taken for now. None where a rate is known."""
         if self.hints.rate_hz is not None:
-            return 1.0 / self.hints.rate_hz
+            return []
         found = self.time_column()
-        if found is None or self._is_row_number(found):
-            return self._rate_without_time(found)
+        counted = found is None or self._is_row_number(found)
+        if counted and self.source.period_s is not None:
+            self.remarks.append(f"no column of time: {1.0 / self.source.period_s:.6g} Hz, as the file declares")
+            return []
+        if found is None:
+            self._refuse("no time", "--time COLUMN or --rate HZ", RateNeededError)
         steps = np.abs(np.diff(found.values[np.isfinite(found.values)]))
-        if not float(np.mean(steps > 0.0) if steps.size else 0.0) > LEAST_STEPPING:
+        if not _goes_on(found.values):
             raise RateNeededError(
                 f"{self.source.path}: column {found.name!r} repeats in most rows, the stamps are rounded: "
                 "give --rate HZ",
                 "--rate HZ",
             )
-        unit, evidence, sure = self._time_unit(found, float(np.median(steps)))
-        wrap = stamp_wrap_of(found.values, DAY_S / UNITS[unit].factor)
-        rate_hz = 1.0 / (float(np.median(steps)) * UNITS[unit].factor)
-        evidence += f"{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else "")
-        self._take(TIME_S, found, unit, UNITS[unit].factor, evidence, sure, wrap)
-        return None
+        within = steps[steps < ROUNDED * np.median(steps)]  # without the gaps; stamps may be rounded
+        options = [Option("-", None, 0.0, "it counts rows; ")]
+        if not counted:
+            options = self._units_of_time(found, float(within.mean()))
+        self._take(TIME_S, found, options[0].unit, options[0].factor or 1.0, "", True)
+        return options
 
-    def _rate_without_time(self, counter: Column | None) -> float | None:
-        """The period of a log whose rows are counted at most: as the file declares, or by a motion with units."""
-        declared = self.source.period_s
-        if declared is not None:
-            self.remarks.append(f"no column of time: {1.0 / declared:.6g} Hz, as the file declares")
-            return declared
-        if counter is None:
-            self._refuse("no time", "--time COLUMN or --rate HZ", RateNeededError)
-        rate_hz, pair = self._per_second(np.arange(self.source.rows, dtype=np.float64))
-        if rate_hz is None or not PLAUSIBLE_HZ[0] <= rate_hz <= PLAUSIBLE_HZ[1]:
-            raise RateNeededError(
-                f"{self.source.path}: {counter.name!r} counts rows and is no time, and nothing else says how many a "
-                "second has: give --rate HZ",
-                "--rate HZ",
-            )
-        nice = [float(f"{rate_hz:.2g}"), 1e3 / round(1e3 / rate_hz) if rate_hz < 1e3 else rate_hz]
-        rate_hz = next((one for one in nice if abs(rate_hz / one - 1.0) < NICE_RATE), rate_hz)
-        evidence = f"it counts rows; {rate_hz:.6g} Hz, by {pair}"
-        self._take(TIME_S, counter, "-", 1.0 / rate_hz, evidence, True, stamp_wrap_of(counter.values))
-        return None
-
-    def _time_unit(self, column: Column, step: float) -> tuple[str, str, bool]:
-        """The unit of stamps, its evidence, and whether it is sure: by a plausible rate, or by a motion with units."""
+    def _units_of_time(self, column: Column, step: float) -> list[Option]:
         unit = column.unit if column.unit and UNITS[column.unit].measures == TIME else None
-        whole = bool(np.array_equal(column.values, np.round(column.values)))
+        whole = are_whole(column.values)
         order = ("ms", "us", "ns", "s") if whole else ("s", "ms", "us", "ns")
-        rates = {u: 1.0 / max(step * UNITS[u].factor, 1e-300) for u in order}
-        able = [u for u in order if PLAUSIBLE_HZ[0] <= rates[u] <= PLAUSIBLE_HZ[1]]
-        if unit is not None and (column.name in self.hints.units or unit not in rates or unit in able or not able):
-            return unit, f"unit {unit}, ", True
-        per_second, pair = self._per_second(self._going_on(column.values)) if len(able) > 1 or unit else (None, "")
-        moved = [u for u in able if per_second and abs(per_second * UNITS[u].factor - 1.0) < SLOPE_TOLERANCE]
+        rates = {u: 1.0 / max(step * UNITS[u].factor, 1e-300) for u in (unit, *order) if u is not None}
+        able = [u for u in rates if PLAUSIBLE_HZ[0] <= rates[u] <= PLAUSIBLE_HZ[1]]
+        if unit is not None and (column.name in self.hints.units or not able):
+            return [Option(unit, UNITS[unit].factor, 0.0, f"unit {unit}, ")]
         wrong = f"in {unit}, as it is called, it would be {rates[unit]:.4g} Hz; " if unit else ""
-        if moved:
-            return moved[0], f"{wrong}{moved[0]}, by {pair}; ", not wrong
-        found = able[0] if able else "s"
-        others = [f"in {u} it would be {rates[u]:.4g} Hz" for u in able[1:]]
-        sure = not wrong and (len(able) == 1 or (found == "s" and not whole))
-        return found, wrong + "; ".join([f"in {found} the rate is plausible", *others]) + "; ", sure
+        found = []
+        for u in rates:
+            score = (0.0 if u in able else IMPLAUSIBLE) + (LIE if unit and u != unit else 0.0)
+            said = f"unit {unit}, " if u == unit else wrong + f"in {u} the rate is plausible; "
+            if unit is None and u in able:
+                others = "".join(f"in {o} it would be {rates[o]:.4g} Hz; " for o in able if o != u)
+                score += UNLIKELY * min(1, able.index(u)) if not whole and order[0] in able else -float(able.index(u))
+                said = f"in {u} the rate is plausible; {others}"
+            found.append(Option(u, UNITS[u].factor, score, said))
+        return sorted(found, key=lambda one: -one.score)
 
-    def _per_second(self, raw: Floats) -> tuple[float | None, str]:
-        """How much of `raw` (n,), which rises, a second is, and the position and velocity with units that say so."""
-        best: tuple[float, float, str] | None = None
-        speeds = [c for c in self._candidates(VELOCITY_RPS, VELOCITY, asked=False) if self._known(c, SPEED, PACE)]
-        for place in self._candidates(POSITION_REV, POSITION, asked=False):
-            if not speeds or not self._known(place, ANGLE, LENGTH, COUNT):
-                continue
-            rate = smooth_derivative(self._running(place) * self._factor(place.unit), raw)[0]
-            for speed in speeds:
-                slope, alike = relation(smoothed(bridged(speed.values)) * self._factor(speed.unit), rate)
-                if abs(alike) > LIKE and (best is None or abs(alike) > best[0]):
-                    best = (
-                        abs(alike),
-                        abs(slope),
-                        f"{place.name!r} in {place.unit} and {speed.name!r} in {speed.unit}",
-                    )
-        return (None, "") if best is None else best[1:]
+    def _time_taken(self, option: Option, factor: float, said: str, sure: bool) -> None:
+        """The time in the unit that was found, with its rate and where it begins anew."""
+        column = self.columns[self.guesses[TIME_S].column]
+        if option.factor is None:
+            per_second = 1.0 / factor
+            nice = [float(f"{per_second:.2g}"), 1e3 / round(1e3 / per_second) if per_second < 1e3 else per_second]
+            per_second = next((one for one in nice if abs(per_second / one - 1.0) < NICE_RATE), per_second)
+            self._take(
+                TIME_S, column, "-", 1.0 / per_second, f"{option.said}{per_second:.6g} Hz, {said}", True,
+                stamp_wrap_of(column.values),
+            )  # fmt: skip
+            return
+        steps = np.abs(np.diff(column.values[np.isfinite(column.values)]))
+        rate_hz = 1.0 / (float(steps[steps < ROUNDED * np.median(steps)].mean()) * factor)
+        wrap = stamp_wrap_of(column.values, DAY_S / factor)
+        evidence = f"{option.said}{said}{rate_hz:.6g} Hz" + (f", wraps at {wrap:g}" if wrap else "")
+        self._take(TIME_S, column, option.unit, factor, evidence, sure, wrap)
 
     @staticmethod
     def _going_on(raw: Floats) -> Floats:
@@ -139,15 +121,25 @@ class Times(Candidates):
         steps = np.where(steps < 0.0, usual, steps)
         return np.asarray(np.concatenate([[0.0], np.cumsum(steps)]) + np.arange(raw.size) * usual * 1e-9)
 
+    @property
+    def _period_s(self) -> float:
+        """Of a log without a time, as the user or the file says."""
+        return 1.0 / self.hints.rate_hz if self.hints.rate_hz else self.source.period_s or 1.0
+
     def _time_s(self) -> Floats:
         """Stamps for derivatives: an even grid where they do not rise."""
         guess = self.guesses.get(TIME_S)
         rows = self.source.rows
         if guess is None:
-            period_s = 1.0 / self.hints.rate_hz if self.hints.rate_hz else self.source.period_s or 1.0
-            return np.asarray(np.arange(rows) * period_s, dtype=np.float64)
+            return np.asarray(np.arange(rows) * self._period_s, dtype=np.float64)
         raw = self.source.columns[guess.column]
         return self._going_on((unwrapped(raw, guess.wrap) if guess.wrap else raw) * guess.factor)
+
+
+def _goes_on(stamps: Floats) -> bool:
+    """Whether most stamps (n,) differ from the one before."""
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    return bool(steps.size and float(np.mean(steps != 0.0)) > LEAST_STEPPING)
 
 
 def runs_of(source: Source, hints: Hints) -> list[Source]:

@@ -59,7 +59,7 @@ _SPELLINGS = {
     "deg/s2": "deg/s^2 °/s2 °/s^2 °/s²",
     "m/s2": "m/s^2 m/s²",
     "mm/s2": "mm/s^2 mm/s²",
-    "A": "amp amps ampere amperes arms a_rms apk",
+    "A": "amp amps ampere amperes arms a_rms aeff a_eff apk",
     "mA": "milliamp milliampere ma_rms",
     "Nm": "n*m n.m n·m newtonmeter newtonmetre n-m",
     "mNm": "mn*m mn.m mn·m",
@@ -71,7 +71,7 @@ _SPELLINGS = {
     "%": "percent pct prozent %rated",
     "permille": "‰ 0.1% promille per_mille 1/1000",
     "degC": "c °c celsius deg_c degree_c",
-    "counts": "count cnt cnts inc incs increments ticks tick qc pulses pulse digits lsb",
+    "counts": "count cnt cnts inc incs increments ticks tick steps step qc pulses pulse digits lsb",
 }
 # spelled alike but for their case: torque and milli, not mega
 _EXACT = {"mNm": "mNm", "mA": "mA", "mV": "mV", "MS": "ms", "S": "s", "kNm": "kNm"}
@@ -80,18 +80,24 @@ _ALIASES = {
     **{word: name for name, words in _SPELLINGS.items() for word in words.split()},
 }
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[\(\{](?P<unit>[^\[\](){}]*)[\]\)\}]\s*$")
+_SCALED = re.compile(r"\s*\d*\.?\d+\s*[A-Za-z]")
 _NO_UNIT = re.compile(r"[\d\s.,:-]*")  # in brackets: an index, or nothing
 _OF_INDICES = {  # letters that are units after these words alone
-    "a": re.compile(r"curr|strom|amp|iq|command|cmd", re.IGNORECASE),
+    "a": re.compile(r"cur|strom|amp|iq|command|cmd|cour|corr", re.IGNORECASE),
+    "n": re.compile(r"force|kraft|forza|fuerza", re.IGNORECASE),
     "c": re.compile(r"temp", re.IGNORECASE),
 }
-_SLASHED = re.compile(r"^(?P<name>[^/\[({]*\w)\s*(?: in |/)\s*(?P<unit>\S+)$")
-_SUFFIX = re.compile(r"^(?P<name>.*?[a-z0-9])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+)$", re.IGNORECASE)
+_IN = re.compile(r"^(?P<name>.*\w)\s+in\s+(?P<unit>\S+)$")  # "Drehzahl in 1/min"
+_SLASHED = re.compile(r"^(?P<name>[^/\[({]*\w)\s*/\s*(?P<unit>\S+)$")
+_SUFFIX = re.compile(
+    r"^(?P<name>.*?[^\W_])_(?P<unit>(?:rad|deg|rev|mm|m)_(?:per_)?s(?:ec)?|[a-z]+(?:-1)?)$", re.IGNORECASE
+)
 _PER = re.compile(r"[ _]*per[ _]*")
 # a suffix like _a or _m may be an index as well: these may not
 _SAFE_SUFFIXES = {
     "s", "ms", "us", "ns", "sec", "rev", "rad", "deg", "rps", "rpm", "ma", "nm", "mnm", "amps", "counts", "inc",
-    "ticks", "mm", "radps", "degps", "a", "mps", "erpm", "c", "degc",
+    "ticks", "mm", "um", "radps", "degps", "a", "mps", "erpm", "c", "degc", "grad", "degrees", "turns", "msec", "usec",
+    "min-1", "n", "kn", "percent", "pct", "steps",
 }  # fmt: skip
 
 
@@ -108,9 +114,10 @@ def unit_of(text: str) -> str | None:
 def split_name(text: str) -> tuple[str, str | None]:
     """A heading as name and unit: "Velocity [rpm]", "speed_rpm", "Zeit / ms", "rpm"."""
     plain = text.strip().strip("\"'").strip()
-    if (whole := unit_of(plain)) and UNITS[whole].measures == SPEED:
+    whole = unit_of(plain)  # "rpm", "mA"; "tick" counts rows as well, "A" and "min" are other words too
+    if whole and (UNITS[whole].measures == SPEED or (len(plain) > 1 and whole not in ("counts", "min"))):
         return plain, whole
-    for pattern in (_BRACKETS, _SLASHED):
+    for pattern in (_BRACKETS, _IN, _SLASHED):
         found = pattern.match(plain)
         if found and (unit := unit_of(found["unit"])):
             return found["name"].strip() or plain, unit
@@ -126,13 +133,19 @@ def split_name(text: str) -> tuple[str, str | None]:
     return plain, None
 
 
+def bare_name(heading: str, unit: str | None) -> str:
+    """A heading without the unit that it ends in: "istdrehzahl_min-1"."""
+    found = _SUFFIX.match(heading) if unit else None
+    return found["name"] if found and split_name(heading)[1] == unit else heading
+
+
 def unknown_unit(heading: str) -> str | None:
     """What stands in square brackets at the end of a heading and is no unit that is known; None where nothing does.
 
-    Round brackets hold remarks as well: "velocity (filtered)".
+    Round brackets hold remarks as well, "velocity (filtered)", but a number with a unit is none: "(0.1 counts/s)".
     """
     found = _BRACKETS.match(heading)
-    if not found or not heading.rstrip().endswith("]"):
+    if not found or not (heading.rstrip().endswith("]") or _SCALED.match(found["unit"])):
         return None
     text = found["unit"].strip()
     return None if _NO_UNIT.fullmatch(text) or unit_of(text) else text

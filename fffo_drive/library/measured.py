@@ -19,8 +19,9 @@ from ..control.reference import MODE_VELOCITY
 from ..documents import DocumentError, check, did_you_mean
 from ..evaluation.metrics import ErrorMetrics, Rows, run_metrics
 from ..identification.dataset import Record, load_record, record_of_columns
-from ..identification.facts import DriveFacts, read_facts
-from ..importing.log import read_log
+from ..identification.facts import DriveFacts, facts_of, read_facts
+from ..importing.candidates import Hints
+from ..importing.log import log_of_arrays, read_log
 from ..importing.read import RECORDINGS
 from ..model.parameters import ModelFile
 from ..model.parameters import write_model as write_model_file
@@ -28,6 +29,7 @@ from ..recording.errors import ForeignRecordingError
 from ..recording.reader import read_run as read_recording
 from ..signals import UNITS
 from ..workflows.circle_runs import write_yaml
+from ..workflows.import_logs import known_units
 from ..workflows.recorded_facts import facts_for
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
 
 Floats = np.ndarray[Any, np.dtype[Any]]
-Source = str | Path | Mapping[str, Any]
+Source = str | Path | Mapping[str, Any] | Any  # Any: a data frame
 SHOWN = (("reference_rps", "ink"), ("velocity_rps", "blue"))
 
 
@@ -80,6 +82,7 @@ class MeasuredRun:
     rows: Rows | None = field(default=None, repr=False)  # signals.ROW, of this project's own loop
     profile_samples: int | None = None  # of the profile that ran, in those rows
     cut: str | None = None  # why not all of its recording could be read
+    doubts: tuple[str, ...] = ()  # what was assumed of columns and units, of arrays by names that are not ours
 
     def __getitem__(self, name: str) -> Floats:
         if name not in self.columns:
@@ -178,19 +181,31 @@ def read_axis(path: str | Path) -> Axis:
 
 def read_run(
     source: Source, *, facts: DriveFacts | str | Path | None = None, torque_constant_nm_per_a: float | None = None,
-    name: str | None = None,
+    name: str | None = None, columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
 ) -> MeasuredRun:  # fmt: skip
-    """Read a run: a recording (.mcap), a log of any kind (CSV, MAT, NPZ ...), or arrays (n,) by signal name.
+    """Read a run: a recording (.mcap), a log of any kind (CSV, MAT, NPZ ...), arrays (n,) by name, or a data frame.
 
-    A log whose columns and units leave a doubt is an error that says which `fffo-drive import` line answers it.
+    A file whose columns and units leave a doubt is an error that says which `fffo-drive import` line answers it. Arrays
+    by our names of signals are taken as they are, those by other names are recognised as columns of a log are, with
+    what is assumed in `.doubts`. `columns` (signal: column), `units` (column: unit) and `rate_hz` say it beforehand.
 
     `facts`: what is declared about the drive, or the file with it; recordings contain it.
     `torque_constant_nm_per_a` (Nm/A) takes precedence over both, and is sufficient by itself. An incomplete recording
     is read up to its last complete chunk, with a warning, and `.cut` says why. Errors that leave a table usable are
     warnings, too. Raises RecordingError or DocumentError.
     """
-    if isinstance(source, Mapping):
-        arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in source.items()}
+    given = None if isinstance(source, str | Path) else _arrays_of(source)
+    hints = Hints(rate_hz=rate_hz, roles=columns or {}, units=known_units(dict(units or {})))
+    if given is not None and not given.keys() & {"time_s", *UNITS}:
+        declared = _facts(facts, torque_constant_nm_per_a)
+        linear = declared is not None and declared.units == "linear"
+        log = log_of_arrays(name or "run", given, replace(hints, linear=linear))
+        if declared is None and log.torque_unit in ("Nm", "N"):
+            declared = facts_of({}, log.torque_unit == "N")
+        return MeasuredRun(name or "run", dict(log.columns), declared, doubts=log.doubts)
+    if given is not None:
+        arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in given.items()}
         if "time_s" not in arrays:
             raise DocumentError(f"{name or 'run'}: time_s: a mapping of arrays needs the time of each sample, in s")
         shape = arrays["time_s"].shape
@@ -201,15 +216,17 @@ def read_run(
                 "are needed, at least 2 samples"
             )
         return MeasuredRun(name or "run", arrays, _facts(facts, torque_constant_nm_per_a))
-    path = Path(source)
+    path = Path(str(source))
     recording = None
     if path.name.endswith(RECORDINGS):
         with contextlib.suppress(ForeignRecordingError):
             recording = read_recording(path)
-    own = _facts_carried(path, torque_constant_nm_per_a) if recording is not None and facts is None else None
-    declared = _facts(facts or own, torque_constant_nm_per_a)
+    carried = _facts_carried(path, torque_constant_nm_per_a) if recording is not None and facts is None else None
+    declared = _facts(facts or carried, torque_constant_nm_per_a)
     if recording is None:
-        log = read_log(path, None if declared is None else declared.hints())
+        own = Hints() if declared is None else declared.hints()
+        own = replace(own, rate_hz=rate_hz or own.rate_hz, roles=hints.roles, units=hints.units)
+        log = read_log(path, own)
         for text in log.remarks:
             warnings.warn(text, stacklevel=2)
         return MeasuredRun(name or path.name, dict(log.columns), declared, path)
@@ -221,6 +238,18 @@ def read_run(
         np.asarray(recording.rows) if own_loop else None, recording.profile_samples if own_loop else None,
         None if recording.complete else recording.reason,
     )  # fmt: skip
+
+
+def _arrays_of(source: Any) -> dict[str, Any]:
+    """Arrays by name of a mapping, or of a data frame (pandas, with its index where that has a name; polars; Arrow)."""
+    if isinstance(source, Mapping):
+        return dict(source)
+    names = getattr(source, "column_names", None) or list(getattr(source, "columns", ()))
+    if not names:
+        raise DocumentError(f"a file, arrays by name or a data frame is needed, not {type(source).__name__}")
+    index: Any = getattr(source, "index", None)
+    named = {str(index.name): index.to_numpy()} if getattr(index, "name", None) is not None else {}
+    return named | {str(key): source[key].to_numpy() for key in names}
 
 
 def _facts(facts: DriveFacts | str | Path | None, torque_constant_nm_per_a: float | None) -> DriveFacts | None:

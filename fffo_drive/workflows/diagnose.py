@@ -13,6 +13,7 @@ from ..identification.dataset import Record, load_records
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
+from ..identification.torque_sensor import sensor_remarks
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
@@ -53,7 +54,8 @@ def diagnose(
     accepted = [(f.name, [(n.name, n.value, n.sd) for n in f.parameters]) for f in found.findings if f.accepted]
     remarks = weight_remarks(facts, accepted, coverage_of(list(fit)).travel_rev)
     other = (prior.sentence(),) if prior is not None and prior.other_population else ()
-    return replace(found, cautions=(*found.cautions, *remarks, *other))
+    sensed = sensor_remarks([*fit, *held_out])
+    return replace(found, cautions=(*found.cautions, *remarks, *sensed, *other))
 
 
 def diagnose_recordings(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +17,15 @@ from ..identification.cyclic import CyclicError, cyclic_error
 from ..identification.dataset import DataError, distinct_names, load_record, one_rate, record_of_columns
 from ..identification.facts import DriveFacts, facts_of, facts_text
 from ..importing.candidates import POSITION_REV, RECOGNISED, VELOCITY_RPS, Guess, Hints, Recognition
-from ..importing.convert import FACTS_NAME, Converted, converted, write_recording
+from ..importing.convert import FACTS_NAME, Converted, assumed, converted, write_recording
 from ..importing.joints import chosen, dataset_files, episodes_of
 from ..importing.read import read_source, short_name
 from ..importing.recognise import recognise
-from ..importing.source import Source
+from ..importing.source import Source, TraceDrive
 from ..importing.times import runs_of
 from ..importing.units import UNITS, unit_of
 from ..recording.errors import RecordingError
+from .trace_drive import SCALES
 
 MAP_NAME = "map.yaml"
 PICTURE_NAME = "data.png"
@@ -40,6 +42,14 @@ class ImportMap(StrictRecord):
     rate_hz: Annotated[float | None, Field(gt=0, description="where no column is the time")] = None
     counts_per_turn: Annotated[float | None, Field(gt=0, description="of a position in counts")] = None
     linear: Annotated[bool, Field(description="m and N instead of rev and Nm")] = False
+    eds: Annotated[list[str], Field(description="of the drive in a trace of a CAN bus: files, from here; profiles")] = (
+        Field(default_factory=list)
+    )
+    node: Annotated[str | None, Field(description="of the drive: [CHANNEL:]ID")] = None
+    scales: Annotated[dict[str, float], Field(description="of the drive, as in a drive section")] = Field(
+        default_factory=dict
+    )
+    joint: Annotated[str | None, Field(description="of a robot's log: name, number or all")] = None
     facts: Annotated[dict[str, Any], Field(description="of the axis, as `facts.yaml`")] = Field(default_factory=dict)
 
 
@@ -203,8 +213,10 @@ def read_map(path: Path) -> ImportMap:
     problems += [
         (f"units.{name}", f"unknown unit {unit!r}: {did_you_mean(unit, UNITS)}") for name, unit in units.items()
     ]
+    problems += [(f"scales.{key}", did_you_mean(key, SCALES)) for key in found.scales if key not in SCALES]
     refuse(path, problems)
-    return found
+    beside = [str(path.parent / name) if (path.parent / name).is_file() else name for name in found.eds]
+    return found.model_copy(update={"eds": beside})
 
 
 def known_units(units: dict[str, str]) -> dict[str, str]:
@@ -237,11 +249,10 @@ def write_import(logs: Sequence[RecognisedLog], hints: Hints, declared: dict[str
     if taken is not None:
         raise RecordingError(f"{taken}: exists already and is not overwritten: give another --out")
     for one, path in zip(logs, paths, strict=True):
-        assumed = [f"{g.signal} is {g.column!r} [{g.unit}]: {g.evidence}" for g in one.found.guesses if not g.sure]
-        write_recording(path, one.source.path, one.log, facts_text(facts), found.linear, assumed)
+        write_recording(path, one.source.path, one.log, facts_text(facts), found.linear, assumed(one.found))
     (out / FACTS_NAME).write_text(facts_text(facts), encoding="utf-8")
     _draw_columns(out / COLUMNS_NAME, logs[0])
-    (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared), sort_keys=False), encoding="utf-8")
+    (out / MAP_NAME).write_text(yaml.safe_dump(_map(hints, found, declared, out), sort_keys=False), encoding="utf-8")
     done = _checked(paths, facts, out)
     if found.torque_unit in ("Nm", "N") and facts.torque_constant_nm_per_a != 1.0:
         done.warnings.append(
@@ -268,8 +279,12 @@ def _plain_name(source: Source) -> Path:
     return path.with_name("_".join(filter(None, parts)).replace("/", "."))
 
 
-def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str, Any]:
-    """What was recognised, as `read_map` takes it."""
+def _map(hints: Hints, found: Recognition, declared: dict[str, Any], out: Path) -> dict[str, Any]:
+    """What was recognised, as `read_map` takes it; names of files as they are from the directory `out`."""
+    drive = hints.drive or TraceDrive()
+    files = [os.path.relpath(name, out) if Path(name).is_file() else name for name in drive.files]
+    scales = {key: value for key, value in drive.scales.items() if key != SCALES[0]}  # that is `counts_per_turn`
+    of_trace = {"eds": files, "node": drive.node, "scales": scales, "joint": hints.joint}
     return {
         "roles": {signal: "" for signal, column in hints.roles.items() if not column}
         | {guess.signal: guess.column for guess in found.guesses},
@@ -277,6 +292,7 @@ def _map(hints: Hints, found: Recognition, declared: dict[str, Any]) -> dict[str
         "rate_hz": None if found.period_s is None else 1.0 / found.period_s,
         "counts_per_turn": hints.counts_per_turn,
         "linear": found.linear,
+        **{key: value for key, value in of_trace.items() if value},
         "facts": declared,
     }
 

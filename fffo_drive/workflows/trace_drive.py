@@ -51,7 +51,7 @@ def trace_drive(
     own = {"keys": {}, "torque_constant_nm_per_a": None} | found
     if torque_constant_nm_per_a is not None:
         own["torque_constant_nm_per_a"] = torque_constant_nm_per_a
-    return TraceDrive(node, eds, **{**own, "keys": {**own["keys"], **keys}})
+    return TraceDrive(node, eds, **{**own, "keys": {**own["keys"], **keys}}, files=tuple(map(str, files)), scales=keys)
 
 
 def _of_yaml(path: Path) -> dict[str, Any]:

@@ -27,7 +27,8 @@ from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.read import read_source
 from fffo_drive.importing.source import TraceDrive
 from fffo_drive.recording.errors import RecordingError
-from fffo_drive.workflows.import_logs import recognised_logs
+from fffo_drive.recording.reader import read_run
+from fffo_drive.workflows.import_logs import read_map, recognised_logs
 from fffo_drive.workflows.trace_drive import trace_drive
 
 SUFFIXES = ["log", "asc", "trc", "blf", "csv"]
@@ -159,6 +160,20 @@ def test_a_trace_that_begins_before_the_drive_is_set_up_needs_no_file(tmp_path, 
     (one,) = recognised_logs([written(tmp_path / "trace.blf", rig.wire)], Hints())
     assert one.found.of("velocity_rps").column == "velocity actual value 0x606C"
     assert any("mapped as the trace has it" in remark for remark in one.log.remarks)
+
+
+def test_the_map_of_a_trace_keeps_the_drive_and_the_scales(tmp_path, rig, eds, monkeypatch):
+    """Typed from another directory, with nothing but the map: the same columns."""
+    path = written(tmp_path / "trace.log", cyclic(rig))
+    drive = ["--eds", EXAMPLES / "axis_canopen.yaml", "--node", 1, "--rated-torque", 0.5]
+    assert main([str(word) for word in ["import", path, *drive, "--out", tmp_path / "first"]]) == 0
+    assert read_map(tmp_path / "first" / "map.yaml").scales == {"rated_torque_nm": 0.5}
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["import", str(path), "--map", "../first/map.yaml", "--out", "again"]) == 0
+    first, again = (read_run(place / "trace.mcap") for place in (tmp_path / "first", tmp_path / "elsewhere" / "again"))
+    for name in ("position_rev", "velocity_rps", "current_a", "current_command_a"):
+        np.testing.assert_array_equal(first.columns[name], again.columns[name])
 
 
 def cyclic(rig: Sniffer) -> list[can.Message]:

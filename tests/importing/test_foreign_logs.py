@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from importing.axis_log import PERIOD_S, truth
 
 from fffo_drive.cli import main
 from fffo_drive.cli.exits import EXIT_BAD_INPUT
+from fffo_drive.identification.dataset import record_of_columns
+from fffo_drive.identification.facts import facts_of
+from fffo_drive.identification.torque_sensor import sensor_remarks
 from fffo_drive.importing.candidates import Hints
 from fffo_drive.importing.names import meaning_of
 from fffo_drive.importing.read import read_source
@@ -300,22 +304,29 @@ def test_of_numbered_joints_the_one_that_moves_is_taken():
     assert one.found.of("position_rev").column == "q2_rad"
 
 
-def test_two_joints_that_move_are_asked_about():
+def test_of_two_joints_that_move_the_driven_one_is_taken_and_asked_about():
     other = 3.0 * np.sin(0.01 * ROWS)
     one = imported(
         {"time_s": LOG.time_s, "q1_rad": other, "q2_rad": 6.0 * LOG.position_rev, "current [A]": LOG.current_a}
     )
     guess = one.found.of("position_rev")
+    assert guess.column == "q2_rad"  # inertia and friction explain its current
     assert not guess.sure
-    assert "others may be it as well: 'q2_rad'" in guess.evidence
+    assert "others may be it as well: 'q1_rad'" in guess.evidence
 
 
-def test_what_was_assumed_is_in_the_recording(tmp_path):
+def test_what_was_assumed_is_in_the_recording_and_what_changes_the_inertia_is_for_the_user(tmp_path, capsys):
     columns = {"time_s": LOG.time_s, **MOTION, "Angle [deg]": MOTION["Angle [deg]"] / 50.0}
     path = written(tmp_path / "log.csv", columns)
     assert assumptions(recognised_logs([path], Hints()))
-    assert main(["import", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 0
-    assert "assumed: position_rev is 'Angle'" in read_run(tmp_path / "out" / "log.mcap").metadata["remarks"]
+    words = ["import", str(path), "--out", str(tmp_path / "out"), "--yes"]
+    assert main(words) == EXIT_BAD_INPUT  # a gear of 50: no inertia is known by that
+    assert "a gear of 50" in (said := capsys.readouterr().err)
+    assert "by more than a tenth, which --yes does not decide" in said
+    assert not (tmp_path / "out").exists()
+    written(path, {"time_s": LOG.time_s, "theta": 2.0 * np.pi * LOG.position_rev, "Current [A]": LOG.current_a})
+    assert main(words) == 0
+    assert "assumed: position_rev is 'theta' [rad]: rad" in read_run(tmp_path / "out" / "log.mcap").metadata["remarks"]
 
 
 # Registers
@@ -475,3 +486,127 @@ def test_what_candump_prints_is_called_a_trace(tmp_path):
     path.write_text("".join(f" (1793000000.{k:06d})  can0  181   [3]  01 02 {k % 100:02d}\n" for k in range(100)))
     with pytest.raises(RecordingError, match=r"a trace of a CAN bus .candump"):
         read_source(path)
+
+
+# A torque sensor beside the current
+
+SENSED = {"time_s": LOG.time_s, **MOTION}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["as the current", "reversed"])
+def test_a_torque_beside_the_current_is_that_of_a_sensor(sign):
+    """0.06 Nm/A, less what the rotor takes."""
+    acceleration = np.gradient(LOG.velocity_rps, LOG.time_s)
+    torque_nm = 0.06 * LOG.current_a - 5e-5 * acceleration
+    one = imported({**SENSED, "Shaft torque [mNm]": sign * 1e3 * torque_nm})
+    assert one.found.of("current_a").column == "Current [A]"
+    np.testing.assert_allclose(one.log.columns["measured_torque_nm"], torque_nm, atol=1e-12)
+    record = record_of_columns("log", one.log.columns, facts_of({"torque_constant_nm_per_a": 0.05}, False))
+    (said,) = sensor_remarks([record])
+    assert float(said.partition("a torque constant of ")[2].split()[0]) == pytest.approx(0.06, rel=1e-3)
+    assert "0.05 is declared" in said
+    assert "0.833 times the true ones" in said
+    assert not sensor_remarks([replace(record, measured_torque_nm=None)])
+
+
+def test_a_torque_that_the_drive_computes_is_no_sensor():
+    one = imported({**SENSED, "Torque [Nm]": 0.06 * LOG.current_a})
+    assert "measured_torque_nm" not in one.log.columns
+    assert any("0.06 Nm/A times 'Current [A]': the drive computed it" in remark for remark in one.log.remarks)
+    said = imported({**SENSED, "Torque [Nm]": 0.06 * LOG.current_a}, roles={"measured_torque_nm": "Torque [Nm]"})
+    np.testing.assert_allclose(said.log.columns["measured_torque_nm"], 0.06 * LOG.current_a)
+
+
+# Conventions of programs, and what the data say where no unit is written
+
+TURNS = {"rev": 1.0, "rad": 2.0 * np.pi, "deg": 360.0}
+RATES = {"rps": 1.0, "rad/s": 2.0 * np.pi, "rpm": 60.0, "deg/s": 360.0}
+PROGRAMS = {
+    "ODrive": ("axis0.encoder.pos_estimate", "rev", "axis0.encoder.vel_estimate", "rps", "axis0.motor.Iq_measured"),
+    "moteus": ("servo_stats.position", "rev", "servo_stats.velocity", "rps", "servo_stats.torque_Nm"),
+    "MuJoCo": ("qpos[0]", "rad", "qvel[0]", "rad/s", "qfrc_actuator[0]"),
+    "ROS": (
+        "/joint_states/elbow/position",
+        "rad",
+        "/joint_states/elbow/velocity",
+        "rad/s",
+        "/joint_states/elbow/effort",
+    ),
+}
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_units_that_a_program_means_are_told_and_known(program):
+    place, turn, speed, rate, driven = PROGRAMS[program]
+    columns = {"time": LOG.time_s, place: TURNS[turn] * LOG.position_rev, speed: RATES[rate] * LOG.velocity_rps}
+    one = imported({**columns, driven: 3.0 * LOG.current_a})
+    np.testing.assert_allclose(one.log.columns["position_rev"], LOG.position_rev, atol=1e-9)
+    np.testing.assert_allclose(one.log.columns["velocity_rps"], LOG.velocity_rps, atol=1e-9)
+    assert not [guess for guess in one.found.guesses if not guess.sure]
+    assert any(remark.startswith(f"units as {program} means them") for remark in one.found.remarks)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("rate", RATES)
+def test_of_all_pairs_of_units_the_one_that_fits_is_taken_and_equal_ones_are_asked_about(turn, rate):
+    """Time, position and velocity without units: milliseconds are a plausible rate, the pair follows from its ratio."""
+    columns = {"t": 1e3 * LOG.time_s, "theta": TURNS[turn] * LOG.position_rev, "omega": RATES[rate] * LOG.velocity_rps}
+    one = imported({**columns, "Current [A]": LOG.current_a})
+    alike = (turn, rate) in {("rad", "rad/s"), ("rev", "rps"), ("deg", "deg/s")}
+    guess = one.found.of("position_rev")
+    assert guess.sure != alike
+    if not alike:
+        np.testing.assert_allclose(one.log.columns["position_rev"], LOG.position_rev, atol=1e-9)
+        np.testing.assert_allclose(one.log.columns["velocity_rps"], LOG.velocity_rps, atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "unit", "sure"), [(1.0, "A", False), (4.0, "A", True), (2e3, "mA", True)])
+def test_a_current_without_a_unit_is_known_by_its_peaks_where_they_are_those_of_a_drive(size, unit, sure):
+    guess = imported({"time_s": LOG.time_s, **MOTION, "Iq": size * LOG.current_a, "Current [A]": LOG.current_a * 0.0})
+    assert (guess.found.of("current_a").unit, guess.found.of("current_a").sure) == (unit, sure)
+    whole = imported({"time_s": LOG.time_s, **MOTION, "Iq": np.round(1e3 * LOG.current_a), "Current [A]": 0.0 * ROWS})
+    assert not whole.found.of("current_a").sure  # permille, counts
+
+
+def test_a_position_in_counts_that_nobody_names_is_refused_under_yes(tmp_path, capsys):
+    columns = {"Time [s]": LOG.time_s, "Position": np.round(65536.0 * LOG.position_rev), "IQ": 4.0 * LOG.current_a}
+    path = written(tmp_path / "log.csv", columns)
+    assert main(["import", str(path), "--out", str(tmp_path / "out"), "--yes"]) == EXIT_BAD_INPUT
+    assert "in counts, --counts-per-turn N" in capsys.readouterr().err
+    words = ["import", str(path), "--out", str(tmp_path / "out"), "--counts-per-turn", "65536"]
+    assert main(words) == 0
+    np.testing.assert_allclose(
+        read_run(tmp_path / "out" / "log.mcap").columns["position_rev"], LOG.position_rev, atol=1e-5
+    )
+
+
+def test_seconds_and_nanoseconds_beside_them_are_one_clock(tmp_path):
+    stamps_ns = 1_700_000_000_000_000_000 + np.round(1e9 * LOG.time_s).astype(np.int64)
+    columns = {"header.stamp.sec": stamps_ns // 10**9, "header.stamp.nanosec": stamps_ns % 10**9, **MOTION}
+    (one,) = recognised_logs(
+        [written(tmp_path / "log.csv", {k: [str(x) for x in v] for k, v in columns.items()})], Hints()
+    )
+    np.testing.assert_allclose(one.log.columns["time_s"], LOG.time_s, atol=1e-9)
+
+
+def test_a_date_beside_words_is_one_cell(tmp_path):
+    begin = datetime.datetime(2026, 3, 1, 23, 59, 59, tzinfo=datetime.UTC)
+    stamps = [f"{begin + datetime.timedelta(seconds=float(t)):%Y-%m-%d %H:%M:%S.%f}" for t in LOG.time_s]
+    path = written(tmp_path / "log.csv", {"when": stamps, "state": ["RUN"] * ROWS.size, **MOTION}, "\t")
+    (one,) = recognised_logs([path], Hints())
+    np.testing.assert_allclose(one.log.columns["time_s"], LOG.time_s, atol=1e-6)
+    np.testing.assert_allclose(one.log.columns["position_rev"], LOG.position_rev, atol=1e-8)
+
+
+@pytest.mark.parametrize("stored", ["two's complement", "sign and magnitude", "offset binary"])
+def test_sixteen_bits_without_a_sign_are_seen_in_a_current_that_jumps(stored):
+    whole = np.round(2e3 * LOG.current_a)
+    registers = {
+        "two's complement": np.where(whole < 0.0, whole + 65536.0, whole),
+        "sign and magnitude": magnitude(whole, 15),
+        "offset binary": whole + 32768.0,
+    }
+    motion = {name: MOTION[name] for name in ("Angle [deg]", "Speed [rpm]")}
+    one = imported({"time_s": LOG.time_s, **motion, "I [mA]": registers[stored]})
+    np.testing.assert_allclose(one.log.columns["current_a"], 1e-3 * whole, atol=1e-9)
+    assert stored in one.found.of("current_a").evidence

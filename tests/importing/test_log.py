@@ -21,6 +21,7 @@ from shared_data import shared_files
 
 import fffo_drive as fd
 from fffo_drive.cli import main
+from fffo_drive.documents import DocumentError
 from fffo_drive.identification.dataset import load_record
 from fffo_drive.identification.facts import DriveFacts
 from fffo_drive.importing.candidates import DeclaredColumn, Hints
@@ -442,3 +443,70 @@ def test_columns_of_text_are_left_out_and_told(tmp_path):
     log = read_log(tmp_path / "log.csv")
     assert log.columns["time_s"].size == len(rows) - 1
     assert any("'Zustand' holds text" in remark for remark in log.remarks)
+
+
+# From Python
+
+
+class Frame:
+    """As a data frame of pandas has it: columns by name, and an index."""
+
+    def __init__(self, columns, index=None):
+        self.of, self.columns, self.index = columns, list(columns), index
+
+    def __getitem__(self, name):
+        return Series(self.of[name])
+
+
+class Series:
+    def __init__(self, values, name=None):
+        self.values, self.name = values, name
+
+    def to_numpy(self):
+        return self.values
+
+
+def as_arrays(columns):
+    return columns
+
+
+def as_frame(columns):
+    return Frame(columns)
+
+
+def as_indexed_frame(columns):
+    name, *others = columns
+    return Frame({other: columns[other] for other in others}, Series(columns[name], name))
+
+
+def as_arrow(columns):
+    import pyarrow
+
+    return pyarrow.table(columns)
+
+
+@pytest.mark.parametrize("make", [as_arrays, as_frame, as_indexed_frame, as_arrow])
+def test_arrays_and_frames_by_other_names_are_recognised_with_the_doubts_in_the_result(make):
+    columns = dict(zip(["t [ms]", "phi", "Drehzahl", "Strom [A]"], raw_columns(LOG, DIALECT).values(), strict=True))
+    run = fd.read_run(make(columns), torque_constant_nm_per_a=0.1)
+    assert not run.doubts  # degrees with rpm: no other pair of units fits
+    for signal, truth_of in (("position_rev", LOG.position_rev), ("velocity_rps", LOG.velocity_rps)):
+        np.testing.assert_allclose(run[signal], truth_of, rtol=1e-9, atol=1e-9)
+    assert run.record().measured_current_a is not None
+    alone = {name: columns[name] for name in ("t [ms]", "phi", "Strom [A]")}
+    (doubt,) = fd.read_run(make(alone), torque_constant_nm_per_a=0.1).doubts
+    assert "position_rev is 'phi' [rad]: rad is assumed" in doubt
+    known = fd.read_run(make(alone), torque_constant_nm_per_a=0.1, units={"phi": "deg"})
+    assert not known.doubts
+    np.testing.assert_allclose(known["position_rev"], LOG.position_rev)
+
+
+def test_arrays_of_a_torque_need_no_constant_and_a_grave_doubt_is_an_error():
+    columns = {"t [s]": LOG.time_s, "angle [deg]": 360.0 * LOG.position_rev, "torque [Nm]": 0.1 * LOG.current_a}
+    run = fd.read_run(columns)
+    assert run.facts.torque_constant_nm_per_a == 1.0
+    np.testing.assert_allclose(run["current_a"], 0.1 * LOG.current_a)
+    with pytest.raises(RecordingError, match=r"180/pi.*the inertia depends on it"):
+        fd.read_run(columns | {"speed [rpm]": 60.0 * 180.0 / np.pi * LOG.velocity_rps})
+    with pytest.raises(DocumentError, match="a data frame is needed, not int"):
+        fd.read_run(3)

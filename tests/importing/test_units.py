@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from fffo_drive.importing.units import UNITS, split_name, turn_of, unit_of
+from fffo_drive.importing.units import UNITS, split_name, turn_of, unit_of, unknown_unit
 from fffo_drive.workflows.import_logs import known_units, read_map
 
 
@@ -49,3 +49,22 @@ def test_a_turn_in_units_of_angle():
     assert turn_of("deg") == pytest.approx(360.0)
     assert turn_of("rev") == 1.0
     assert (turn_of("counts"), turn_of("mm"), turn_of(None)) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit"),
+    [
+        ("Drehzahl in 1/min", "rpm"), ("Winkel in °", "deg"), ("istdrehzahl_min-1", "rpm"), ("lage_grad", "deg"),
+        ("Velocità_rpm", "rpm"), ("pos_um", "um"), ("force_N", "N"), ("cur_A", "A"), ("Stromistwert [Aeff]", "A"),
+        ("mA", "mA"), ("Nm", "Nm"), ("Corriente_motor_a", "A"), ("tick", None), ("min", None), ("A", None),
+        ("phase_n", None),
+    ],
+)  # fmt: skip
+def test_units_as_headings_end_in_them(heading, unit):
+    assert split_name(heading)[1] == unit
+
+
+def test_a_number_before_a_unit_is_no_remark():
+    assert unknown_unit("Speed (0.1 counts/s)") == "0.1 counts/s"
+    assert unknown_unit("Current (0.01A)") == "0.01A"
+    assert unknown_unit("velocity (filtered)") is None
