@@ -129,14 +129,21 @@ class Run:
         return f"{self.path}: {text}" + (f" ({self.reason})" if self.reason else "")
 
     @property
+    def profile_sizes(self) -> Mapping[int, int]:
+        """Samples of the profiles in it by their number; empty where its rows name none."""
+        if not {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
+            return {}
+        return {one.number: int(one.by_name["samples"]) for one in self.records if one.kind == RecordKind.PROFILE}
+
+    @property
     def profile_samples(self) -> int | None:
         """Samples of the profile that ran; None if there were several (recording of a service), or if it is not
         recorded.
         """
-        sizes = {record.number: record.by_name for record in self.records if record.kind == RecordKind.PROFILE}
-        if sizes and {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
+        sizes = self.profile_sizes
+        if sizes:
             ran = np.unique(self.rows["profile_number"][self.rows["profile_sample"] >= 0])
-            return int(sizes[int(ran[0])]["samples"]) if ran.size == 1 and int(ran[0]) in sizes else None
+            return sizes.get(int(ran[0])) if ran.size == 1 else None
         samples = self.metadata.get("profile_samples")
         return None if samples is None else int(samples)
 

@@ -16,7 +16,7 @@ from ..identification.population import AgainstPopulation
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
-from ..report.document import provenance, source_file
+from ..report.document import provenance, source_log
 from ..report.page import refuse_other_report
 from .progress import Bar, Share, no_bar
 from .recorded_facts import facts_for
@@ -103,7 +103,7 @@ def write_diagnosis(
     elif model_path.exists():
         model_path.unlink()
         removed = True
-    sources = provenance([source_file(path.name, path.read_bytes()) for path in files], {"units": facts.units})
+    sources = provenance([source_log(path) for path in files], {"units": facts.units})
     data = coverage_section(list(fit), coverage_of(list(fit)), facts.units == "linear")
     source = DiagnosisSource(facts.name or name, sources, str(model_path) if written else "", data)
     paths = write_diagnosis_report(source, found, out)

@@ -17,6 +17,7 @@ from common import ROOT, Report, finish, main, parser, shown
 from fffo_drive.daemon.fleet_records import command as daemon_command
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.recording.reader import Run, describe, read_run
+from fffo_drive.recording.run_records import RecordKind
 from fffo_drive.recording.writer import RunWriter
 
 NAME = "long_recordings"
@@ -76,19 +77,26 @@ def recorded(directory: Path, seconds: float) -> Run:
 
 
 def write_long(run: Run, path: Path, seconds: float) -> None:
-    """Its rows for so long."""
+    """Its rows for so long, as of one profile."""
     attachments = [(one.name, one.media_type, one.data) for one in run.attachments.values()]
-    writer = RunWriter(path, dict(run.metadata), attachments, 0)
-    for record in run.records:
-        writer.write_record(record, int(run.rows["deadline_ns"][0]))
-    rows, ticks = run.rows.copy(), int(run.rows["tick"][-1] - run.rows["tick"][0]) + 1
-    travel_rev = float(run.rows["position_rev"][-1] - run.rows["position_rev"][0])
+    rows = run.rows.copy()
+    runs = rows["profile_sample"] >= 0
+    ticks = int(rows["tick"][-1] - rows["tick"][0]) + 1
     period_ns = int(np.median(np.diff(rows["deadline_ns"])))
-    for _ in range(max(1, round(seconds / (ticks * period_ns * 1e-9)))):
+    times = max(1, round(seconds / (ticks * period_ns * 1e-9)))
+    samples = int(rows["profile_sample"].max()) + 1
+    writer = RunWriter(path, {**run.metadata, "profile_samples": str(times * samples)}, attachments, 0)
+    for record in run.records:
+        values = tuple(times * samples if name == "samples" else value for name, value in record.by_name.items())
+        own = record._replace(values=values) if record.kind == RecordKind.PROFILE else record
+        writer.write_record(own, int(rows["deadline_ns"][0]))
+    travel_rev = float(rows["position_rev"][-1] - rows["position_rev"][0])
+    for _ in range(times):
         for begin in range(0, len(rows), WRITE_ROWS):
             writer.write_rows(rows[begin : begin + WRITE_ROWS])
         rows["tick"] += ticks
         rows["row_number"] += len(rows)
+        rows["profile_sample"][runs] += samples
         rows["position_rev"] += travel_rev
         rows["deadline_ns"] += ticks * period_ns
     writer.close({})
