@@ -148,15 +148,23 @@ class Run:
         return None if samples is None else int(samples)
 
 
-def read_run(path: Path | str, topic: str = ROW_TOPIC, columns: Collection[str] | None = None) -> Run:
-    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks); `columns`: those fields
-    of the rows alone, as far as they are there, which a long one needs.
+def read_run(
+    path: Path | str,
+    topic: str = ROW_TOPIC,
+    columns: Collection[str] | None = None,
+    ranges: Sequence[tuple[int, int]] | None = None,
+) -> Run:
+    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks).
+
+    Of a long one less is read with `columns`, those fields of the rows alone as far as they are there, and `ranges`,
+    rows from here on and before there, rising.
 
     Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
     opened.
     """
     blocks = RowBlocks(path, topic)
-    found = [block if columns is None else block.only(columns) for block in blocks]
+    parts = blocks if ranges is None else _within(blocks, ranges)
+    found = [block if columns is None else block.only(columns) for block in parts]
     return replace(blocks.rest, **_joined(found)._asdict()) if found else blocks.rest
 
 
@@ -178,6 +186,16 @@ class RowBlock(NamedTuple):
     def stamps_ns(self) -> Array:
         """(n,) Deadlines; log times where the rows have none."""
         return self.rows["deadline_ns"] if "deadline_ns" in (self.rows.dtype.names or ()) else self.log_time_ns
+
+
+def _within(blocks: Iterable[RowBlock], ranges: Sequence[tuple[int, int]]) -> Iterator[RowBlock]:
+    number = 0
+    for block in blocks:
+        for first, end in ranges:
+            part = slice(max(0, first - number), max(0, end - number))
+            if part.start < min(part.stop, len(block.rows)):
+                yield RowBlock(block.rows[part].copy(), block.log_time_ns[part].copy())
+        number += len(block.rows)
 
 
 def _joined(blocks: Sequence[RowBlock]) -> RowBlock:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..diagnosis.results import Diagnosis
 from ..identification.coverage import Coverage, coverage_of
-from ..identification.dataset import Record, load_records
+from ..identification.dataset import Record
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
+from ..identification.stretches import load_logs
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
@@ -75,7 +76,8 @@ def diagnose_recordings(
     settings = settings or DiagnosisSettings()
     settings = settings._replace(without=settings.without | frozenset(without))
     model = None if model_file is None else read_model(model_file)
-    records = load_records([*fit, *held_out], facts)
+    with bar("read") as progress:
+        records = load_logs([*fit, *held_out], facts, progress)
     against = None if prior is None else prior(facts)
     if covered is not None:
         covered(records, coverage_of(records[: len(fit)]), facts)
