@@ -13,7 +13,7 @@ from ..identification.dataset import Record
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
-from ..identification.stretches import load_logs
+from ..identification.stretches import MOST_DIAGNOSED, load_logs
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
@@ -77,7 +77,7 @@ def diagnose_recordings(
     settings = settings._replace(without=settings.without | frozenset(without))
     model = None if model_file is None else read_model(model_file)
     with bar("read") as progress:
-        records = load_logs([*fit, *held_out], facts, progress)
+        records = load_logs([*fit, *held_out], facts, progress, MOST_DIAGNOSED)
     against = None if prior is None else prior(facts)
     if covered is not None:
         covered(records, coverage_of(records[: len(fit)]), facts)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from common import ROOT, Report, finish, main, parser, shown
 
+from fffo_drive.cli.exits import EXIT_NOT_CONFIRMED
 from fffo_drive.daemon.fleet_records import command as daemon_command
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.recording.reader import Run, describe, read_run
@@ -48,6 +49,8 @@ BOUNDS = {
     "replay": Bound(300.0, times_real_time=30.0),
     "evaluate": Bound(300.0, times_real_time=60.0),
     "fleet add": Bound(300.0, times_real_time=60.0),
+    "identify": Bound(1000.0),
+    "diagnose": Bound(1000.0),
 }
 
 
@@ -62,6 +65,16 @@ def words_of(command: str, path: Path, directory: Path) -> list[str]:
         "log export, all": ["log", "export", str(path), "--out", out],
         "log export, 2 s": ["log", "export", str(path), "--out", out, "--from", "1", "--to", "3"],
         "replay": ["replay", str(path)],
+        "identify": ["identify", str(path), "--out", str(directory / "identified")],
+        "diagnose": [
+            "diagnose",
+            "--fit",
+            str(path),
+            "--held-out",
+            str(directory / "base.mcap"),
+            "--out",
+            str(directory / "found"),
+        ],
         "evaluate": ["evaluate", "--runs", str(path), "--out", str(directory / "page")],
     }
     return [sys.executable, "-m", "fffo_drive", *own[command]]
@@ -107,7 +120,7 @@ def peak_mb(words: list[str]) -> tuple[float, float, float]:
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
     own_mb = max(_own_mb(process), default=0.0)
     _, status, usage = os.wait4(process.pid, 0)
-    if status:
+    if os.waitstatus_to_exitcode(status) not in (0, EXIT_NOT_CONFIRMED):
         raise RuntimeError(f"{words[-6:]}: exit code {os.waitstatus_to_exitcode(status)}")
     return own_mb, usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime
 
