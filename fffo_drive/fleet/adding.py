@@ -81,8 +81,8 @@ def add_runs(
     named: Container[str] | None = None,
     manifest: Mapping[str, ManifestLine] | None = None,
 ) -> Added:
-    """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read; what is said of
-    it now (drive, type, date, temperature) replaces what the index and its record have.
+    """Put runs (paths, URLs) on the index. A file that is on it already and has not changed is not read; what is now
+    said of it (drive, type, date, temperature) replaces what the index and its record have.
 
     `manifest`: what is said of single runs, by their places. `named`: those that somebody named, None for all; a file
     beside them that is no log is skipped, and no problem.
@@ -202,7 +202,8 @@ def _entry(path: str, given: Given, changed: datetime) -> tuple[dict[str, Any], 
             by_file = clock is None
         if given.time_from == COLUMN and by_file and "start" not in said:
             raise DocumentError(
-                f"{path}: its time counts from a zero of its own, which says no date: use --time-from name, or --manifest"
+                f"{path}: its time counts from a zero of its own, which says no date: use --time-from name, or "
+                "--manifest"
             )
         entry = {
             "run": digest_of(copy), "drive": drive, "model": model or drive, "path": path, "start": clock or changed,

@@ -1,5 +1,6 @@
-"""When a run was: by its own clock (`importing.times.clock_time`), its name or a manifest. After a copy all files are of
-today.
+"""When a run was, by its name or a manifest; of its own clock, `importing.times` tells whether it says a date.
+
+After a copy all files are of today.
 """
 
 from __future__ import annotations
