@@ -158,7 +158,8 @@ def run() -> int:
             rows.append(row_of(kind, found, sum(axis.change != NONE for axis in every.values())))
             report.notes += [f"Thermometer {kind}, false: {text}" for text in found.false]
             report.notes += [f"Thermometer {kind}, {text}" for text in found.other_law]
-            report.notes.append(f"Thermometer {kind}: the page says: {headline(page, place / f'page{number}')}")
+            said_first = headline(page, place / f"page{number}")
+            report.notes.append(f"Thermometer {kind}: the page says: {said_first}")
             if kind == "at the drive":
                 report.bounded(
                     "changes found by their own law",
@@ -190,9 +191,15 @@ def row_of(kind: str, found: Told, changed: int) -> tuple[str, ...]:
     """A row of the table."""
     weeks_to = f"{np.median(found.found):.0f} (at most {max(found.found)})" if found.found else "-"
     return (
-        kind, f"{len(found.found)} of {changed}", weeks_to, str(len(found.other_law)), ", ".join(found.missed) or "none",
-        str(len(found.false)), str(found.judged["not used"]), str(found.judged["used in part"]),
-    )  # fmt: skip
+        kind,
+        f"{len(found.found)} of {changed}",
+        weeks_to,
+        str(len(found.other_law)),
+        ", ".join(found.missed) or "none",
+        str(len(found.false)),
+        str(found.judged["not used"]),
+        str(found.judged["used in part"]),
+    )
 
 
 def headline(page: dict[str, Any], out: Path) -> str:
