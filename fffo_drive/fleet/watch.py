@@ -77,7 +77,7 @@ class Watched(NamedTuple):
     drive_years: float
     alarms_per_drive_year: float  # false ones, at most
     laws: tuple[str, ...]  # that were watched
-    thermometers: int  # drives that log a temperature, whatever it shows
+    thermometers: int = 0  # drives that log a temperature, whatever it shows
 
     def as_plain(self) -> dict[str, Any]:
         """JSON-ready."""
