@@ -28,8 +28,8 @@ from .facts import DriveFacts
 from .kinematics import DEFAULT_CUTOFF_HZ, motion_of
 from .rows import samples_a_row
 
-MOST_SAMPLES = 2_000_000  # of all logs of a fit together: 1000 s at 2 kHz, for which `identify` takes 0.75 GB
-MOST_DIAGNOSED = 800_000  # ... and of a diagnosis, which keeps what each of many effects would explain
+MOST_SAMPLES = 2_000_000  # of all logs of a fit together: 1000 s at 2 kHz, for which `identify` takes 0.53 GB
+MOST_DIAGNOSED = 800_000  # ... and of a diagnosis, which keeps what each of many effects would explain: 1.1 GB
 STRETCH_S = 20.0  # far above the memory of the filters, which begin anew in each
 SPEED_CLASSES = 8  # each way
 PLACES = 16  # classes of the position: of the turn, or of the travel where it is less than one
