@@ -35,7 +35,7 @@ from ..documents import DocumentError
 from ..evaluation.campaign import Evaluation
 from ..evaluation.measures import Yardstick
 from ..evaluation.summary import Summary, summarise
-from ..report.document import SourceFile, provenance, source_file
+from ..report.document import SourceFile, provenance, source_file, source_log
 from ..report.evaluate import KINDS, METRICS, EvaluationSource, evaluation_report, missing_text
 from ..report.page import refuse_other_report, write_report
 from ..runtime.runs import timestamp_name
@@ -205,7 +205,7 @@ def _compared_recordings(files: Sequence[str], scenario: Scenario | None) -> Com
         if scenario is None
         else scenario.file.percent_of,
         cautions,
-        [source_file(Path(name).name, Path(name).read_bytes()) for name in files],
+        [source_log(Path(name)) for name in files],
     )
 
 

@@ -53,12 +53,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.add_argument("--serial", metavar="NAME", help="serial number of the drive, instead of the one in the runs")
     add.add_argument("--model", metavar="NAME", help="type of the drive, instead of the one in the runs")
     add.add_argument(
-        "--time-from", choices=["name"], help="take the date of a run from its file's name, such as 2026-01-31_10h28m10"
+        "--time-from",
+        choices=["name", "column"],
+        help="date of a run: from its file's name, such as 2026-01-31_10h28m10, or from its column of time alone "
+        "(default: that column, else the date of the file)",
     )
     add.add_argument(
         "--manifest",
         metavar="FILE",
-        help="runs, a line each (CSV): path, and any of serial, model, time (ISO 8601)",
+        help="runs, a line each (CSV): path, and any of serial, model, time (ISO 8601), temperature_degc",
     )
     add.add_argument("--work", action="store_true", help="also make their records now")
     _engine_arguments(add)
@@ -146,7 +149,7 @@ def _add(options: argparse.Namespace) -> int:
     manifest = read_manifest(Path(options.manifest)) if options.manifest else {}
     places = all_places([*options.runs, *manifest], options.source, facts is not None)
     store = FleetStore(options.store, create=True)
-    given = Given(options.serial, options.model, facts, time_from_name=options.time_from == "name")
+    given = Given(options.serial, options.model, facts, time_from=options.time_from)
     with progress_bar("add", quiet=options.json) as progress:
         added = add_runs(store, places, given, progress, {*options.runs, *manifest}, manifest)
     for problem in added.problems:
@@ -158,9 +161,10 @@ def _add(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(added._asdict(), indent=2))
     else:
-        known = added.found - added.new - len(added.problems) - len(added.skipped)
+        known = added.found - added.new - added.changed - len(added.problems) - len(added.skipped)
         print(
             f"{counted(added.new, 'run')} added, {known} known before"
+            + (f", {added.changed} changed (drive, type, date or temperature)" * bool(added.changed))
             + (f", {len(added.problems)} not added" * bool(added.problems))
             + (f", {len(added.skipped)} skipped" * bool(added.skipped))
         )

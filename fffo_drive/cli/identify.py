@@ -20,8 +20,9 @@ from typing import Any
 
 from ..identification.coverage import coverage_lines
 from ..identification.cyclic import cyclic_lines
-from ..identification.dataset import load_records, where_command_acts
+from ..identification.dataset import where_command_acts
 from ..identification.results import INERTIA
+from ..identification.stretches import load_logs
 from ..model.parameters import write_model
 from ..report.identify import NOT_TUNE, IdentifySource, identify_report, tune_command
 from ..report.page import refuse_other_report, write_report
@@ -56,7 +57,8 @@ def execute(options: argparse.Namespace) -> int:
     facts = facts_for(options.drive, options.logs)
     out = Path(options.out)
     refuse_other_report(out, "identify", MODEL_NAME)
-    records = [where_command_acts(record) for record in load_records(options.logs, facts)]
+    with progress_bar("read", options.json) as bar:
+        records = [where_command_acts(record) for record in load_logs(options.logs, facts, bar)]
     for record in records:
         for warning in record.warnings:
             print(f"warning: {printable(warning)}", file=sys.stderr)

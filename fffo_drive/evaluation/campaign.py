@@ -6,6 +6,8 @@ import itertools
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+import numpy as np
+
 from ..arrays import Floats
 from ..control.compensation import PortableEffects
 from ..control.controller import ControllerConfig
@@ -99,28 +101,44 @@ def _evaluate(case: Case, candidate: Candidate) -> Evaluation:
     if trip != TRIP_NONE:
         return Evaluation(candidate.name, case.seed, trip, None, ())
     trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
-    found = evaluation_of(candidate.name, case.seed, trace, case.yardstick, case.cutouts_s)
+    found = evaluation_of(candidate.name, case.seed, [trace], case.yardstick, case.cutouts_s)
     changed = (rows["limits"] & CHANGED_COMMAND != 0) & (rows["profile_sample"] >= 0)
     return found._replace(envelope_ticks=int(changed.sum()))
 
 
 def evaluation_of(
-    candidate: str, seed: int, trace: Trace, yardstick: Yardstick, windows_s: tuple[tuple[float, float], ...]
+    candidate: str,
+    seed: int,
+    parts: Iterable[Trace],
+    yardstick: Yardstick,
+    windows_s: tuple[tuple[float, float], ...],
 ) -> Evaluation:
-    """Evaluation of a run that reached its end."""
-    measures = measure(trace, yardstick)
-    return Evaluation(candidate, seed, TRIP_NONE, measures, cut(trace, windows_s), trace.skipped_share)
+    """Evaluation of a run that reached its end, in parts that follow each other, which are iterated over again."""
+    measures = measure(parts, yardstick)
+    return Evaluation(
+        candidate, seed, TRIP_NONE, measures, cut(parts, windows_s, measures.true is not None), measures.skipped_share
+    )
 
 
-def cut(trace: Trace, windows_s: tuple[tuple[float, float], ...]) -> tuple[Cutout, ...]:
-    """Pieces of a run; only those reached if it stopped early."""
-    velocity_rps = trace.measured_rps if trace.true_rps is None else trace.true_rps
-    pieces = []
-    for start_s, end_s in windows_s:
-        span = slice(round(start_s / trace.period_s), round(end_s / trace.period_s))
-        if span.start < velocity_rps.size:
-            pieces.append(Cutout(start_s, trace.period_s, trace.reference_rps[span].copy(), velocity_rps[span].copy()))
-    return tuple(pieces)
+def cut(parts: Iterable[Trace], windows_s: tuple[tuple[float, float], ...], of_shaft: bool) -> tuple[Cutout, ...]:
+    """Pieces of a run; only those reached if it stopped early. `of_shaft`: with the true velocity, which is known."""
+    found: dict[float, list[tuple[Floats, Floats]]] = {}
+    begin, period_s = 0, 0.0
+    for part in parts:
+        velocity_rps = part.true_rps if of_shaft and part.true_rps is not None else part.measured_rps
+        period_s = part.period_s
+        for start_s, end_s in windows_s:
+            first, last = (max(0, round(time_s / period_s) - begin) for time_s in (start_s, end_s))
+            if first < min(last, velocity_rps.size):
+                own = slice(first, last)
+                found.setdefault(start_s, []).append((part.reference_rps[own].copy(), velocity_rps[own].copy()))
+        begin += velocity_rps.size
+        if all(end_s < begin * period_s for _, end_s in windows_s):
+            break
+    return tuple(
+        Cutout(start_s, period_s, *(np.concatenate(column) for column in zip(*pieces, strict=True)))
+        for start_s, pieces in found.items()
+    )
 
 
 def warm_up(case: Case) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Floats
+from ..arrays import Floats, Integers
 from ..drive.port import ExchangeCounts
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
@@ -66,18 +67,46 @@ class TickStatistics(NamedTuple):
         return self.bad_frames + dropped + self.error_frames + self.bus_losses + self.send_errors
 
 
+class ErrorSums:
+    """What the metrics of an error need, taken part by part; in another division only the sums' last digits differ."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self._squares = self._magnitudes = self._largest = self._mean = self._spread = 0.0
+
+    def take(self, error_rps: Floats) -> None:
+        """More samples (n,). Raises ValueError where they are not finite."""
+        if error_rps.size == 0:
+            return
+        if not np.isfinite(error_rps).all():
+            raise ValueError("the error holds values that are not finite")
+        magnitude, mean = np.abs(error_rps), float(error_rps.mean())
+        before, shift = self.samples, mean - self._mean
+        self.samples += error_rps.size
+        self._squares += float(np.dot(error_rps, error_rps))
+        self._magnitudes += float(magnitude.sum())
+        self._largest = max(self._largest, float(magnitude.max()))
+        # the deviations from two means, about the mean of both (Chan, Golub and LeVeque)
+        self._spread += float(np.sum((error_rps - mean) ** 2)) + shift**2 * (before * error_rps.size / self.samples)
+        self._mean += shift * (error_rps.size / self.samples)
+
+    def metrics(self, period_s: float) -> ErrorMetrics:
+        """Of all samples. Raises ValueError where there is none."""
+        if self.samples == 0:
+            raise ValueError("no sample to evaluate: the profile did not run")
+        return ErrorMetrics(
+            self._squares * period_s,
+            self._magnitudes / self.samples,
+            self._largest,
+            math.sqrt(self._spread / self.samples),
+        )
+
+
 def error_metrics(error_rps: Floats, period_s: float) -> ErrorMetrics:
     """Metrics of an error record (n,). Raises ValueError for an empty or non-finite one."""
-    if error_rps.size == 0:
-        raise ValueError("no sample to evaluate: the profile did not run")
-    if not np.isfinite(error_rps).all():
-        raise ValueError("the error holds values that are not finite")
-    return ErrorMetrics(
-        float(np.dot(error_rps, error_rps) * period_s),
-        float(np.abs(error_rps).mean()),
-        float(np.abs(error_rps).max()),
-        float(error_rps.std()),
-    )
+    sums = ErrorSums()
+    sums.take(error_rps)
+    return sums.metrics(period_s)
 
 
 def rms(values: Floats) -> float:
@@ -109,24 +138,73 @@ def run_metrics(rows: Rows, period_s: float, samples: int | None = None, column:
     return error_metrics(rows["reference_rps"][inside] - rows[column][inside], period_s)
 
 
+class _Counted:
+    """Whole numbers by value and count: exact quantiles in the memory of the values that differ."""
+
+    def __init__(self) -> None:
+        self.values: Integers = np.zeros(0, np.int64)
+        self._counts: Integers = np.zeros(0, np.int64)
+
+    def take(self, values: Integers) -> None:
+        """More of them (n,)."""
+        own, counts = np.unique(values, return_counts=True)
+        self.values, place = np.unique(np.concatenate([self.values, own]), return_inverse=True)
+        self._counts = np.bincount(place, np.concatenate([self._counts, counts])).astype(np.int64)
+
+    def quantile(self, share: float) -> float:
+        """As numpy.quantile of all of them; NaN of none."""
+        ends = np.cumsum(self._counts)
+        if not ends.size:
+            return float("nan")
+        place = share * (int(ends[-1]) - 1)
+        ranks = (math.floor(place), math.ceil(place))
+        low, high = (float(self.values[np.searchsorted(ends, rank, side="right")]) for rank in ranks)
+        return low + (place - math.floor(place)) * (high - low)
+
+
+class TickSums:
+    """Timing over rows, taken block by block."""
+
+    def __init__(self) -> None:
+        self.rows = self._late = self._missing = 0
+        self._first = self._last = 0  # ticks
+        self._lateness_ns, self._turnaround_ns = _Counted(), _Counted()
+
+    def take(self, rows: Rows) -> None:
+        """The next rows."""
+        if not rows.size:
+            return
+        self._first = self._first if self.rows else int(rows["tick"][0])
+        self._last = int(rows["tick"][-1])
+        self.rows += rows.size
+        self._late += int(rows["late"].sum())
+        answered = rows["turnaround_ns"] >= 0
+        self._missing += int(np.count_nonzero(~answered))
+        self._lateness_ns.take(rows["lateness_ns"])
+        self._turnaround_ns.take(rows["turnaround_ns"][answered])
+
+    def statistics(self, exchange: ExchangeCounts | None = None) -> TickStatistics:
+        """Of all rows; `exchange`: the port's counts during the run, which are not in them. Raises ValueError."""
+        if not self.rows:
+            raise ValueError("no row to evaluate: the loop did not run")
+        return TickStatistics(
+            self.rows,
+            self._late,
+            self._last - self._first + 1 - self.rows,
+            self._missing,
+            *(exchange or ExchangeCounts()),
+            self._lateness_ns.quantile(0.5) / 1e3,
+            self._lateness_ns.quantile(0.99) / 1e3,
+            float(self._lateness_ns.values[-1]) / 1e3,
+            self._turnaround_ns.quantile(0.5) / 1e3,
+        )
+
+
 def tick_statistics(rows: Rows, exchange: ExchangeCounts | None = None) -> TickStatistics:
     """Timing over rows. `exchange`: the port's counts during the run, which are not in the rows."""
-    if rows.size == 0:
-        raise ValueError("no row to evaluate: the loop did not run")
-    lateness_us = rows["lateness_ns"] / 1e3
-    answered = rows["turnaround_ns"][rows["turnaround_ns"] >= 0]
-    p50, p99 = np.percentile(lateness_us, [50, 99])
-    return TickStatistics(
-        int(rows.size),
-        int(rows["late"].sum()),
-        int(rows["tick"][-1] - rows["tick"][0] + 1 - rows.size),
-        int(np.count_nonzero(rows["turnaround_ns"] < 0)),
-        *(exchange or ExchangeCounts()),
-        float(p50),
-        float(p99),
-        float(lateness_us.max()),
-        float(np.median(answered) / 1e3) if answered.size else float("nan"),
-    )
+    sums = TickSums()
+    sums.take(rows)
+    return sums.statistics(exchange)
 
 
 def bases_of(metrics: Mapping[str, ErrorMetrics]) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,10 @@ TRACED = (SAMPLE, "reference_rps", "velocity_rps", "true_velocity_rps", "current
 
 
 class Trace(NamedTuple):
-    """A profile as it ran, one sample per period; arrays (n,). `true_rps` is None if the true velocity is not known."""
+    """A profile as it ran, or a part of it, one sample per period; arrays (n,).
+
+    `true_rps` is None if the true velocity is not known.
+    """
 
     period_s: float
     reference_rps: Floats
@@ -23,29 +27,42 @@ class Trace(NamedTuple):
     command_a: Floats
     skipped: int = 0  # samples of skipped ticks: filled in, see `trace_of`
 
-    @property
-    def skipped_share(self) -> float:
-        """Of the samples from the first to the last."""
-        return self.skipped / self.reference_rps.size
-
 
 def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
-    """The rows in which the profile ran. Raises ValueError when there is none.
+    """The rows in which the profile ran, as `traces`. Raises ValueError when there is none."""
+    found = next(traces([rows], period_s, samples), None)
+    if found is None:
+        raise ValueError("no row to evaluate: the profile did not run")
+    return found
+
+
+def traces(blocks: Iterable[Rows], period_s: float, samples: int | None = None) -> Iterator[Trace]:
+    """The rows in which the profile ran, in parts that follow each other, one for each block that has some.
 
     A late loop skips samples of the profile, which have no row: the command is filled in as held by the drive, and all
-    else by linear interpolation between rows, so that lags, bands and spectra keep their time base.
+    else by linear interpolation between rows, so that lags, bands and spectra keep their time base. Raises ValueError
+    when a sample comes again.
     """
-    sample = rows[SAMPLE]
-    chosen = np.flatnonzero((sample >= 0) & (sample < (samples or np.iinfo(np.int32).max)))
-    if chosen.size == 0:
-        raise ValueError("no row to evaluate: the profile did not run")
-    inside = rows[chosen[0] : chosen[-1] + 1]  # a view: other rows are before the first or after the last of a profile
-    known = inside[SAMPLE]
-    grid = np.arange(int(known[0]), int(known[-1]) + 1)
+    before: dict[str, Floats] = {}  # the last row, for what is skipped between two blocks
+    for rows in blocks:
+        chosen = np.flatnonzero((rows[SAMPLE] >= 0) & (rows[SAMPLE] < (samples or np.iinfo(np.int32).max)))
+        if chosen.size == 0:
+            continue
+        known = {name: np.concatenate([before.get(name, rows[name][:0]), rows[name][chosen]]) for name in TRACED}
+        if (np.diff(known[SAMPLE]) <= 0).any():
+            raise ValueError("the profile ran more than once: cut out one run with fffo-drive log export --from --to")
+        yield _filled(known, len(before) > 0, period_s)
+        before = {name: values[-1:].copy() for name, values in known.items()}
+
+
+def _filled(columns: dict[str, Floats], continues: bool, period_s: float) -> Trace:
+    """Columns (n,) with the skipped samples; `continues`: the first row is that before, and not a part of it."""
+    known = columns[SAMPLE]
+    grid = np.arange(int(known[0]) + continues, int(known[-1]) + 1)
     held = np.searchsorted(known, grid, side="right") - 1
 
     def straight(name: str) -> Floats:
-        return np.asarray(np.interp(grid, known, inside[name]), dtype=np.float64)
+        return np.asarray(np.interp(grid, known, columns[name]), dtype=np.float64)
 
     true_rps = straight("true_velocity_rps")
     return Trace(
@@ -53,6 +70,6 @@ def trace_of(rows: Rows, period_s: float, samples: int | None = None) -> Trace:
         straight("reference_rps"),
         straight("velocity_rps"),
         true_rps if np.isfinite(true_rps).all() else None,
-        np.ascontiguousarray(inside["current_command_a"][held]),
-        grid.size - known.size,
+        np.ascontiguousarray(columns["current_command_a"][held]),
+        grid.size - (known.size - continues),
     )

@@ -29,6 +29,7 @@ from ..units import MAD_TO_SD
 from .detector import BURN_IN, CLIP
 from .history import RunHistory, joined
 from .matrices import factor, inverse_total, medians_of_known
+from .thermometers import seen_share
 from .words import WORDS
 
 # columns of the records: the law that each stands for, the column that is its scale, and the typical standard deviation
@@ -79,14 +80,19 @@ class Stack(NamedTuple):
     theta: Floats  # (n, p) over the drive's scales; 0 where nothing is known
     information: Floats  # (n, p, p) likewise
     scales: Floats  # (d, p)
-    temperature: Floats  # (n,) steps from the mean; 0 for drives that log none, nan for single runs without
-    logged: Mask  # (d,) whether a drive logs a temperature
+    temperature: Floats  # (n,) steps from the mean; 0 for drives without, nan for single runs without
+    seen: Floats  # (d,) share of the temperature that a drive's log shows (`thermometers`); nan where it logs none
     log_speed: Floats  # (n,)
     extras: Floats  # (n, k) logarithms of amplitudes and of the gap; nan where a run has none
     extra_variance: Floats  # (n, k) of them
     run: npt.NDArray[np.str_]  # (n,)
     columns: tuple[str, ...]  # (p,)
     orders: tuple[float, ...]  # of extras; rms of the residual and the gap stand behind them
+
+    @property
+    def logged(self) -> Mask:
+        """(d,) Whether a drive logs a temperature that shows some of its own."""
+        return np.asarray(self.seen > 0.0)
 
     def of(self, drive: int) -> slice:
         """Runs of a drive."""
@@ -99,7 +105,7 @@ class Stack(NamedTuple):
         cut = {name: getattr(self, name)[runs] for name in _BY_RUN}
         bounds = np.concatenate([[0], np.cumsum(ends - begins)]).astype(np.int64)
         names = tuple(self.drives[k] for k in drives)
-        return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], logged=self.logged[drives], **cut)
+        return self._replace(drives=names, bounds=bounds, scales=self.scales[drives], seen=self.seen[drives], **cut)
 
 
 _BY_RUN = ("time_s", "theta", "information", "temperature", "log_speed", "extras", "extra_variance", "run")
@@ -116,6 +122,11 @@ class FleetPrior(NamedTuple):
     line: Floats  # (p,) what a step of temperature moves, or one like it where none is logged
     directions: Floats  # (p, p) what each law moves, by its row: its column, and what goes along
     orders: tuple[float, ...]
+
+    def between(self, seen: float) -> Floats:
+        """Covariance (p, p) between runs of a drive whose log shows this share of its temperature; nan: it has none."""
+        share = float(np.nan_to_num(seen))
+        return share * self.covariance + (1.0 - share) * self.ambient_covariance
 
 
 class Channels(NamedTuple):
@@ -154,11 +165,18 @@ def stacked(
     information *= by_run[:, None, :]
     degc = whole.temperature_degc
     shares = np.add.reduceat(np.isfinite(degc), bounds[:-1]) / np.maximum(np.diff(bounds), 1)
-    logged = shares >= TEMPERATURE_SHARE
-    temperature = np.where(np.repeat(logged, np.diff(bounds)), (degc - MEAN_DEGC) / STEP_K, 0.0)
+    steps = (degc - MEAN_DEGC) / STEP_K
+    seen = np.where(shares >= TEMPERATURE_SHARE, 1.0, np.nan)
+    if _VISCOUS in columns:
+        place = columns.index(_VISCOUS)
+        variance = _variance(information, place) + typical_covariance(columns)[place, place]
+        for drive in np.flatnonzero(np.isfinite(seen)):
+            runs = slice(bounds[drive], bounds[drive + 1])
+            seen[drive] = seen_share(theta[runs, place], variance[runs], steps[runs])
+    temperature = np.where(np.repeat(seen > 0.0, np.diff(bounds)), steps, 0.0)
     chosen, extras, extra_variance = _extras(whole, bounds, orders)
     return Stack(
-        tuple(together), bounds, whole.time_s, theta, information, scales, temperature, logged,
+        tuple(together), bounds, whole.time_s, theta, information, scales, temperature, seen,
         np.log(np.maximum(whole.speed_rms_rps, 1e-6)), extras, extra_variance, whole.run, columns, chosen,
     )  # fmt: skip
 
@@ -171,6 +189,12 @@ def marginal(information: Floats, kept: Sequence[int]) -> Floats:
     inner = np.linalg.pinv(information[:, rest][:, :, rest], hermitian=True)
     cross = information[:, kept][:, :, rest]
     return np.asarray(information[:, kept][:, :, kept] - cross @ inner @ cross.transpose(0, 2, 1))
+
+
+def _variance(information: Floats, place: int) -> Floats:
+    """Of one column, whatever the others are; infinite where a run does not determine it. (n,)"""
+    own = marginal(information, [place])[:, 0, 0]
+    return np.where(own > 0.0, 1.0 / np.maximum(own, 1e-300), np.inf)
 
 
 def _of_known(information: Floats, theta: Floats) -> Floats:
@@ -263,7 +287,8 @@ def typical_covariance(columns: Sequence[str]) -> Floats:
 def learn(stack: Stack) -> FleetPrior:
     """Covariance between runs and slopes with temperature, by EM over the drives' own levels; outliers weigh less."""
     drives = np.arange(len(stack.drives))
-    logged = drives[stack.logged]
+    best = np.nanmax(np.nan_to_num(stack.seen), initial=0.0)
+    logged = drives[stack.logged & (stack.seen == best)]  # those that see most say what is between runs beside it
     slope = np.zeros(len(stack.columns))
     covariance = typical_covariance(stack.columns)
     slope_sd = SLOPE_SDS * np.sqrt(np.diag(covariance))
@@ -358,24 +383,22 @@ def _between_runs(stack: Stack, drives: Integers, typical: Floats, terms: int) -
 def channels_of(stack: Stack, prior: FleetPrior) -> Channels:
     """The channels of all runs: laws of the columns, orders, and the residual."""
     size = len(stack.columns)
-    by_run = np.repeat(stack.logged, np.diff(stack.bounds))
     laws = [COLUMNS[name][0] for name in stack.columns]
+    unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
     y = np.full((stack.time_s.size, size), np.nan)
     variance = np.ones_like(y)
     steps = np.nan_to_num(stack.temperature)
-    for logged, covariance in ((True, prior.covariance), (False, prior.ambient_covariance)):
-        every = np.flatnonzero(stack.logged == logged)
-        if not every.size:
-            continue
+    shares = np.nan_to_num(stack.seen)
+    for seen in np.unique(shares):
+        every = np.flatnonzero(shares == seen)
+        covariance = prior.between(seen)
         usual = _usual_weights(stack, prior, every, covariance)
         for drives in np.array_split(every, -(-every.size // DRIVES_AT_ONCE)):
             runs = np.concatenate([np.arange(stack.bounds[d], stack.bounds[d + 1]) for d in drives])
             y[runs], variance[runs], along = _projected(stack, prior, drives, runs, covariance, usual)
-            if not logged:
+            if seen < 1.0:  # viscous friction stands in for what the log does not show
                 steps[runs] = along
-        if not logged:
-            unwatched = np.flatnonzero([law in WITHOUT_TEMPERATURE for law in laws])
-            y[np.ix_(np.flatnonzero(~by_run), unwatched)] = np.nan
+                y[np.ix_(runs, unwatched)] = np.nan
     y[~np.isfinite(stack.temperature)] = np.nan
     with np.errstate(invalid="ignore"):
         usual = np.array([np.median(v[np.isfinite(v)]) if np.isfinite(v).any() else 1.0 for v in variance.T])

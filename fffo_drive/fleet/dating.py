@@ -1,8 +1,12 @@
-"""When a run was: by its own clock, its name or a manifest. After a copy all files are of today."""
+"""When a run was, by its name or a manifest; of its own clock, `importing.times` tells whether it says a date.
+
+After a copy all files are of today.
+"""
 
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -11,10 +15,8 @@ from typing import Any, NamedTuple
 
 from ..documents import DocumentError, did_you_mean
 
-FIRST_TRUE_CLOCK = datetime(2000, 1, 1, tzinfo=UTC)  # a log with an earlier time counts from its own zero
-LAST_TRUE_CLOCK = datetime(2100, 1, 1, tzinfo=UTC)  # later ones are counts of something else
 CROWD_RUNS, CROWD_S = 8, 600.0  # so many runs of a drive that began within ten minutes: more likely copied than run
-KNOWN = ("path", "serial", "model", "time")
+KNOWN = ("path", "serial", "model", "time", "temperature_degc")
 _DATE = r"(?P<year>(?:19|20)\d\d)[-_.]?(?P<month>[01]\d)[-_.]?(?P<day>[0-3]\d)"
 _TIME = r"(?:[T_ -]*(?P<hour>[0-2]\d)[-_:.hH]?(?P<minute>[0-5]\d)(?:[-_:.mM]?(?P<second>[0-5]\d))?)?"
 _IN_NAME = re.compile(rf"(?<!\d){_DATE}{_TIME}(?!\d)")
@@ -26,13 +28,7 @@ class ManifestLine(NamedTuple):
     serial: str | None
     model: str | None
     start: datetime | None
-
-
-def clock_time(seconds: float) -> datetime | None:
-    """A time on a clock that counts from 1970, UTC; None for one that counts from something else."""
-    if not FIRST_TRUE_CLOCK.timestamp() <= seconds < LAST_TRUE_CLOCK.timestamp():
-        return None
-    return datetime.fromtimestamp(seconds, UTC)
+    temperature_degc: float | None = None
 
 
 def time_in_name(path: str) -> datetime:
@@ -52,7 +48,7 @@ def time_in_name(path: str) -> datetime:
 
 def read_manifest(path: Path) -> dict[str, ManifestLine]:
     """Runs of a manifest by their path (relative to the manifest's directory) or URL: a CSV file with a heading of
-    `path` and any of `serial`, `model` and `time` (ISO 8601; UTC where it says no zone).
+    `path` and any of `serial`, `model`, `time` (ISO 8601; UTC where it says no zone) and `temperature_degc`.
 
     Raises DocumentError naming the line, OSError.
     """
@@ -92,7 +88,16 @@ def _row(path: Path, line: int, row: Mapping[str, Any]) -> tuple[str, ManifestLi
                 f"{path}: line {line}, time {values['time']!r}: a date such as 2026-01-31T10:28:10 is needed"
             ) from None
         start = start if start.tzinfo else start.replace(tzinfo=UTC)
-    return place, ManifestLine(values["serial"] or None, values["model"] or None, start)
+    degc = None
+    if values["temperature_degc"]:
+        try:
+            degc = float(values["temperature_degc"])
+        except ValueError:
+            degc = math.nan
+        if not math.isfinite(degc):
+            said = values["temperature_degc"]
+            raise DocumentError(f"{path}: line {line}, temperature_degc {said!r}: a number in degC is needed")
+    return place, ManifestLine(values["serial"] or None, values["model"] or None, start, degc)
 
 
 def crowds(starts: Iterable[tuple[str, datetime]]) -> list[str]:

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 from .. import formats
 from ..diagnosis.results import Diagnosis, Finding
 from ..documents import DocumentError, counted, did_you_mean
-from ..identification.dataset import DataError, load_records
+from ..identification.dataset import DataError
 from ..identification.facts import DriveFacts
+from ..identification.stretches import MOST_DIAGNOSED, load_logs
 from ..recording.errors import RecordingError
 from ..report.diagnose import base_rows
 from ..report.diagnose_figures import words_of
@@ -143,7 +144,7 @@ def _diagnosed(
     if not paths:
         raise DataError("there is no run to diagnose")
     facts = facts or facts_for(None, paths)
-    records = load_records(paths, facts)
+    records = load_logs(paths, facts, most=MOST_DIAGNOSED)
     held = set(range(len(records) - 1, 0, -HELD_OUT_EVERY))
     fit, held_out = ([one for k, one in enumerate(records) if (k in held) is part] for part in (False, True))
     found = diagnose(fit, held_out, facts, progress=progress)

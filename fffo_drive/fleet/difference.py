@@ -117,10 +117,10 @@ def difference(first: RunHistory, second: RunHistory, fleet: Mapping[str, RunHis
     laws = [_law(stack, channels, c, one, p, share) for (c, one), p in zip(kept, corrected, strict=True)]
     laws.sort(key=lambda law: (not law.differs, law.p))
     remarks = []
-    unlogged = not stack.logged[0]
-    if unlogged:
+    if stack.seen[0] != 1.0:
+        why = "no temperature is logged" if np.isnan(stack.seen[0]) else "the logged temperature does not show it all"
         remarks.append(
-            f"no temperature is logged: {', '.join(WITHOUT_TEMPERATURE)} stands in for it and is not compared. A "
+            f"{why}: {', '.join(WITHOUT_TEMPERATURE)} stands in for it and is not compared. A "
             "change that moves it together with Coulomb friction cannot be distinguished from temperature"
         )
     return Difference(tuple(laws), joint_p, counts, degc, tuple(remarks))
@@ -142,7 +142,7 @@ def _columns_compared(
     found = _mean_difference(stack, fleet, prior, group)
     along = fleet.directions @ found.precision
     size, moment = np.einsum("ij,ij->i", along, fleet.directions), along @ found.change
-    asked = [k for k, law in enumerate(laws) if stack.logged[0] or law not in WITHOUT_TEMPERATURE]
+    asked = [k for k, law in enumerate(laws) if stack.seen[0] == 1.0 or law not in WITHOUT_TEMPERATURE]
     asked = [k for k in asked if size[k] > LARGEST_SD**-2.0]
     if not asked:
         return [None] * len(laws), math.nan
@@ -181,7 +181,7 @@ def _mean_difference(stack: Stack, fleet: FleetPrior, prior: ChannelPrior, group
     """Generalised least squares of each set; a run far from its set's mean counts for less."""
     logged = bool(stack.logged[0])
     size = len(stack.columns)
-    inverse = inverse_total(stack.information, fleet.covariance if logged else fleet.ambient_covariance)
+    inverse = inverse_total(stack.information, fleet.between(stack.seen[0]))
     known = np.isfinite(stack.temperature) & (np.einsum("nii->n", inverse) > 0.0)
     steps = np.where(known, stack.temperature, 0.0)
     theta = stack.theta - steps[:, None] * fleet.slope * logged

@@ -151,11 +151,11 @@ def population_of(histories: Mapping[str, RunHistory], model: str = "") -> Popul
     if len(histories) < LEAST_DRIVES:
         raise ValueError(f"{len(histories)} drives: a population needs {LEAST_DRIVES} at least")
     stack = stacked(histories)
-    logged = np.flatnonzero(stack.logged)
+    logged = np.flatnonzero(stack.seen == 1.0)
     if logged.size >= LEAST_DRIVES:
         stack = stack.part(logged, stack.bounds[logged + 1])
     else:
-        stack = stack._replace(logged=np.zeros_like(stack.logged), temperature=np.zeros_like(stack.temperature))
+        stack = stack._replace(seen=np.full_like(stack.seen, np.nan), temperature=np.zeros_like(stack.temperature))
         logged = logged[:0]
     fleet, _ = learned(stack)
     scale = np.median(stack.scales, axis=0)

@@ -122,9 +122,18 @@ INDEX_SCHEMA = pa.schema(
         _field("bytes", pa.int64(), "B", "size of the file"),
         _field("stamp", pa.string(), "-", "of the file as it was: unchanged, it is not read again"),
         _field("facts", pa.string(), "-", "declared facts of its drive, JSON; null: the recording carries them"),
+        _field("temperature_degc", _F8, "degC", "of the run, as it was added; null: what the log says"),
     ]
 )
+TEMPERATURES = ("temperature_degc", "temperature_low_degc", "temperature_high_degc")
 SORTED_BY = [("model", "ascending"), ("drive", "ascending"), ("start", "ascending"), ("run", "ascending")]
+
+
+def said_in_index(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of a record that its entry of the index says."""
+    said = {name: entry[name] for name in ("drive", "model", "path", "start")}
+    degc = entry.get("temperature_degc")
+    return said if degc is None else said | dict.fromkeys(TEMPERATURES, degc)
 
 
 def table_of(rows: Iterable[Mapping[str, Any]], schema: pa.Schema = RECORD_SCHEMA) -> pa.Table:

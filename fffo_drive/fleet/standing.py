@@ -10,12 +10,12 @@ import numpy as np
 
 from ..arrays import Floats
 from ..documents import DocumentError, counted, did_you_mean, finite, parse, read_text
-from ..identification.dataset import Record, log_of, record_of_log
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation, PopulationRow
 from .adding import Given, entry_of
 from .history import histories
-from .measure import balance_of_record, temperature_of
+from .measure import balance_in
+from .pieces import LogPieces
 from .place import is_url
 from .prior import LEAST_DRIVES, Population, Posterior, RunEstimate, population_from_plain, population_of, posterior
 from .regress import PARAMETERS, Balance, solve
@@ -90,14 +90,10 @@ def population_at(source: str, who: Who) -> Population:
 
 
 def against_population(
-    population: Population, source: str, records: Sequence[Record], temperatures_degc: Sequence[float | None],
+    population: Population, source: str, balances: Sequence[Balance], temperatures_degc: Sequence[float | None],
     facts: DriveFacts,
 ) -> AgainstPopulation:  # fmt: skip
-    """Records of one drive against a population; the temperature of each, None where it was not logged.
-
-    Raises DataError for a record that is too short for the balance.
-    """
-    balances = [balance_of_record(record, facts) for record in records]
+    """Balances of runs of one drive against a population; the temperature of each, None where it was not logged."""
     pairs = zip(balances, temperatures_degc, strict=True)
     runs = [_estimate(balance, degc) for balance, degc in pairs]
     found = posterior(population, runs)
@@ -105,7 +101,7 @@ def against_population(
     sd = np.sqrt(np.diag(found.covariance))
     rows = tuple(_row(found, k, float(sd[k]), ends[k]) for k in range(sd.size))
     degc = [one for one in temperatures_degc if one is not None]
-    logged = population.warming is not None and len(degc) == len(records)
+    logged = population.warming is not None and len(degc) == len(balances)
     at_degc = float(np.mean(degc)) if logged else None
     covariance = population.at(at_degc)[1] + population.scatter
     effective = float(sum(balance.effective_rows for balance in balances))
@@ -137,9 +133,9 @@ def files_against_population(
     Raises DocumentError (see `population_at`) and DataError.
     """
     population = population_at(source, who_of(Path(paths[0]), facts, model))
-    records, degc = [], []
+    balances, degc = [], []
     for path in map(Path, paths):
-        log = log_of(path, facts)
-        records.append(record_of_log(path, log, facts, ""))
-        degc.append(temperature_of(log.columns))
-    return against_population(population, source, records, degc, facts)
+        pieces = LogPieces(path, facts, "")  # however long the log is
+        balances.append(balance_in(pieces, facts, path).balance)
+        degc.append(pieces.temperature().get("temperature_degc"))
+    return against_population(population, source, balances, degc, facts)

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 from .. import formats
 from ..documents import DocumentError, counted
 from .place import StorePlace
-from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, table_of
+from .schema import INDEX_SCHEMA, RECORD_SCHEMA, SCHEMA_VERSION, SORTED_BY, file_bytes, said_in_index, table_of
 
 STORE_FILE = "store.json"
 INDEX, NEW, MERGED, FAILED, TRIES = "index", "records/new", "records/merged", "failed", "failed/tries"
@@ -340,6 +340,18 @@ class FleetStore:
             self._forget(run)
         for name in self.place.files(MERGED, PARQUET):
             self._merge([name], name.rsplit("/", 1)[0], RECORD_SCHEMA, others)
+
+    def change(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Put runs on the index anew, as another drive, type, date or temperature; their records follow.
+
+        Raises OSError.
+        """
+        said = {str(entry["run"]): entry for entry in entries}
+        rows = self.records(where=pc.field("run").isin(list(said))).to_pylist()
+        self.drop(list(said))
+        self.add(entries)
+        for row in rows:
+            self.write_record(row | said_in_index(said[row["run"]]))
 
     def _by_month(self, names: list[str]) -> dict[str, list[str]]:
         """New records by the month in which their run began."""

@@ -23,6 +23,7 @@ from .history import RunHistory, model_records
 from .learning import evenly, learned
 from .matrices import medians_of_known
 from .store import FleetStore
+from .thermometers import thermometer_text
 from .words import day_of
 
 DEFAULT_ALARMS_PER_DRIVE_YEAR = 0.01
@@ -76,6 +77,7 @@ class Watched(NamedTuple):
     drive_years: float
     alarms_per_drive_year: float  # false ones, at most
     laws: tuple[str, ...]  # that were watched
+    thermometers: int = 0  # drives that log a temperature, whatever it shows
 
     def as_plain(self) -> dict[str, Any]:
         """JSON-ready."""
@@ -144,7 +146,7 @@ def watch(
     years = float(np.sum(stack.time_s[end] - stack.time_s[begin])) / YEAR_S
     found = Watched(
         tuple(alarms), tuple(_doubts(stack, fleet)), len(stack.drives), stack.time_s.size, years,
-        alarms_per_drive_year, tuple(dict.fromkeys(watched)),
+        alarms_per_drive_year, tuple(dict.fromkeys(watched)), int(np.isfinite(stack.seen).sum()),
     )  # fmt: skip
     return FleetWatch(found, stack, channels, prior, detections)
 
@@ -166,6 +168,7 @@ def watch_model(store: FleetStore, model: str, alarms_per_drive_year: float) -> 
         tuple(alarm for one in found for alarm in one.alarms), tuple(doubt for one in found for doubt in one.doubts),
         sum(one.drives for one in found), sum(one.runs for one in found), sum(one.drive_years for one in found),
         alarms_per_drive_year, tuple(dict.fromkeys(law for one in found for law in one.laws)),
+        sum(one.thermometers for one in found),
     )  # fmt: skip
 
 
@@ -260,6 +263,7 @@ def _doubts(stack: Stack, prior: FleetPrior) -> list[Undecided]:
         for number in np.flatnonzero(counts <= BURN_IN)
     }
     enough = counts > BURN_IN
+    found |= {int(number): thermometer_text(float(stack.seen[number])) for number in np.flatnonzero(stack.seen < 1.0)}
     found |= _unseen_temperatures(stack, np.flatnonzero(enough & stack.logged))
     if VISCOUS in stack.columns:
         place = stack.columns.index(VISCOUS)
@@ -297,8 +301,9 @@ def _unusual_viscous(stack: Stack, drives: Integers, place: int, sd: float) -> d
         if abs(now - usual) > OUTSIDE_SDS * sd:
             found[int(drive)] = (
                 f"viscous friction is {100.0 * (now / usual - 1.0):+.0f} % from its usual value, further than "
-                f"temperature moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature is "
-                "logged, so wear cannot be distinguished from temperature: log it, or compare runs at the same one"
+                f"temperature moves it in this fleet ({100.0 * sd:.0f} %, standard deviation). No temperature that "
+                "shows it is logged, so wear cannot be distinguished from temperature: log that of the drive, or "
+                "compare runs at the same one"
             )
     return found
 
@@ -323,7 +328,8 @@ def unwatched_text(found: Watched) -> str:
     if not unseen or not found.laws:
         return ""
     late = "a change of Coulomb friction is found late or not at all"
-    return f"no temperature is logged: {unseen[0]} is not watched, {late}"
+    why = "no logged temperature shows that of its drive" if found.thermometers else "no temperature is logged"
+    return f"{why}: {unseen[0]} is not watched, {late}"
 
 
 def watch_lines(found: Watched) -> list[str]:

@@ -25,6 +25,7 @@ from ..recording.errors import RecordingError
 from .adding import facts_of
 from .measure import measured
 from .place import digest_of, is_url, local_copy
+from .schema import said_in_index
 from .store import FleetStore
 
 Entry = dict[str, Any]
@@ -84,7 +85,7 @@ def record_row(entry: Entry) -> dict[str, Any]:
                 row = measured(copy, str(entry["run"]), facts_of(entry))
         except (RecordingError, DocumentError) as error:
             raise DataError(str(error).replace(str(copy), path)) from error
-    return row | {name: entry[name] for name in ("drive", "model", "path", "start")}
+    return row | said_in_index(entry)
 
 
 def reached_file(entry: Entry, kept: contextlib.ExitStack) -> Path:

@@ -65,7 +65,7 @@ def coverage_of(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ)
             sign = np.sign(np.where(np.abs(part.velocity_rps) < rest_rps, 0.0, part.velocity_rps))
             moving = sign[sign != 0.0]
             reversals += int(np.count_nonzero(np.diff(moving)))
-            rests = _lengths(sign == 0.0) * record.period_s
+            rests = lengths_of(sign == 0.0) * record.period_s
             dwells += int(np.count_nonzero(rests > DWELL_S))
             longest_s = max(longest_s, float(rests.max(initial=0.0)))
             speeds.append(part.velocity_rps[sign != 0.0])
@@ -100,7 +100,7 @@ def coverage_of(records: Sequence[Record], cutoff_hz: float = DEFAULT_CUTOFF_HZ)
     )
 
 
-def _lengths(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+def lengths_of(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     """Lengths of the runs of true in flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return np.asarray(edges[1::2] - edges[::2], dtype=np.int64)

@@ -8,7 +8,8 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its modules load where they are first used
@@ -60,6 +61,7 @@ TAKEN = (  # columns of a log that a fit may use
 )  # fmt: skip
 TIMING = ("tick", "velocity_age", "lateness_ns")  # of a recording: from these follow the samples that were missed
 DEADLINE, MODE = "deadline_ns", "mode"  # of a recording: its time, and where the loop applied torque
+LOG_COLUMNS = (*TAKEN, *TIMING, DEADLINE, MODE, TEMPERATURE.name)
 IN_WORDS = {
     "position_rev": "positions",
     "velocity_rps": "velocities",
@@ -116,22 +118,30 @@ class Record:
         return [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= least]
 
 
-def load_record(path: str | Path, facts: DriveFacts) -> Record:
-    """Read one log by the declared facts, on a uniform grid (`timebase`).
+class LogPart(NamedTuple):
+    """Rows of a recording that stand for all of it."""
+
+    rows: tuple[tuple[int, int], ...]  # from here on and before there, rising
+    text: str  # which, and why
+
+
+def load_record(path: str | Path, facts: DriveFacts, part: LogPart | None = None) -> Record:
+    """Read one log by the declared facts, on a uniform grid (`timebase`); of a recording, if given, a part of it.
 
     Raises DataError with all reasons against a fit, RecordingError for a file that cannot be read.
     """
     path = Path(path)
     with regular(path).open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return record_of_log(path, log_of(path, facts), facts, digest)
+    record = record_of_log(path, log_of(path, facts, part), facts, digest)
+    return record if part is None else replace(record, warnings=(part.text, *record.warnings))
 
 
-def log_of(path: Path, facts: DriveFacts) -> Run | Converted:
+def log_of(path: Path, facts: DriveFacts, part: LogPart | None = None) -> Run | Converted:
     """A recording as it is, any other log by the facts (`importing.log`). Raises RecordingError, OSError."""
     if path.name.endswith(RECORDINGS):
         with contextlib.suppress(ForeignRecordingError):
-            return read_run(path, columns=(*TAKEN, *TIMING, DEADLINE, MODE, TEMPERATURE.name))
+            return read_run(path, columns=LOG_COLUMNS, ranges=None if part is None else part.rows)
     return read_log(path, facts.hints())
 
 
@@ -206,12 +216,14 @@ def where_command_acts(record: Record) -> Record:
     return left
 
 
-def load_records(paths: Iterable[str | Path], facts: DriveFacts) -> list[Record]:
+def load_records(
+    paths: Iterable[str | Path], facts: DriveFacts, parts: Mapping[Path, LogPart] = MappingProxyType({})
+) -> list[Record]:
     """`load_record` for several logs, all at one rate; the problems of all logs in one DataError."""
     records, problems = [], []
     for path in paths:
         try:
-            records.append(load_record(path, facts))
+            records.append(load_record(path, facts, parts.get(Path(path))))
         except RecordingError as error:
             problems.append(str(error))
     if problems:

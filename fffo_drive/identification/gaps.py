@@ -11,12 +11,12 @@ and 5 rps wrong by about a count of a 15-bit resolver). Longer gaps stay gaps.
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ..arrays import Floats, Integers
+from ..arrays import Floats, Integers, Mask
 from ..units import NS_PER_S
 
 LONGEST_FILL_S = 0.01
@@ -34,7 +34,7 @@ class Mended(NamedTuple):
     """A repaired record."""
 
     columns: dict[str, Floats]
-    fresh: npt.NDArray[np.bool_]  # (n,) False where the motion was filled in
+    fresh: Mask  # (n,) False where the motion was filled in
     dropped: int  # ticks of gaps that are too long
 
     @property
@@ -49,40 +49,59 @@ def mended(columns: dict[str, Floats], timing: LogTiming, period_s: float) -> Me
 
     `time_s`, `current_command_a`, `position_rev` and `velocity_rps` are needed; other columns are interpolated.
     """
-    fresh = np.flatnonzero(timing.age == 0)
-    late = timing.lateness_ns != 0
-    if fresh.size < 2 or (fresh.size == timing.tick.size and not late.any() and (np.diff(timing.tick) == 1).all()):
+    longest = max(1.0, LONGEST_FILL_S / period_s)  # ticks from one row to the next
+    edges = [0, *(np.flatnonzero(np.diff(timing.tick) > longest) + 1).tolist(), timing.tick.size]
+    parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    faults = [part for part in parts if _has_fault(LogTiming(*(values[part] for values in timing)))]
+    answered = timing.tick[timing.age == 0]
+    if not faults or answered.size < 2:
         return Mended(columns, np.ones(timing.tick.size, dtype=np.bool_), 0)
+    found: list[tuple[dict[str, Floats], Mask]] = []
+    for part in parts:
+        own, timed = {name: values[part] for name, values in columns.items()}, LogTiming(*(v[part] for v in timing))
+        if part not in faults:
+            found.append((own, np.ones(timed.tick.size, dtype=np.bool_)))
+        elif np.count_nonzero(timed.age == 0) >= 2:
+            found.append(_mended_part(own, timed, period_s, longest))
+    fresh = np.concatenate([own for _, own in found])
+    whole = {name: np.concatenate([own[name] for own, _ in found]) for name in columns}
+    return Mended(whole, fresh, int(answered[-1] - answered[0] + 1 - fresh.size))
+
+
+def _has_fault(timing: LogTiming) -> bool:
+    return bool(timing.age.any() or timing.lateness_ns.any() or (np.diff(timing.tick) != 1).any())
+
+
+def _mended_part(
+    columns: dict[str, Floats], timing: LogTiming, period_s: float, longest: float
+) -> tuple[dict[str, Floats], Mask]:
+    """Rows between which no more than `longest` ticks are missing: columns, and where they were measured."""
+    fresh = np.flatnonzero(timing.age == 0)
     place = timing.tick - timing.tick[0]  # of each row on the grid of periods
     motion_rev = columns["position_rev"] - columns["velocity_rps"] * timing.lateness_ns / NS_PER_S
     known = place[fresh]
-    wanted = np.arange(known[0], known[-1] + 1)
-    before = np.searchsorted(known, wanted, side="right") - 1
-    step = np.diff(known, append=known[-1] + 1)[before]  # periods from the known tick before to the next one
-    kept = (step <= max(1.0, LONGEST_FILL_S / period_s)) | (wanted == known[before])
-    wanted, before = wanted[kept], before[kept]
+    step = np.diff(known, append=known[-1] + 1)  # periods from each known tick to the next one
+    filled = np.where(step <= longest, step, 1)
+    before = np.repeat(np.arange(known.size), filled)
+    wanted = known[before] + np.arange(before.size) - (np.cumsum(filled) - filled)[before]
     found: dict[str, Floats] = {
         name: np.interp(wanted, place, values)
         for name, values in columns.items()
         if name not in ("time_s", "current_command_a", "position_rev", "velocity_rps")
     }
     found["time_s"] = columns["time_s"][0] + wanted * period_s
-    found["current_command_a"] = _held(columns["current_command_a"], place)[wanted]
+    found["current_command_a"] = _held(columns["current_command_a"], place, wanted)
     velocity = columns["velocity_rps"][fresh]
     found["velocity_rps"] = np.interp(wanted, known, velocity)
     found["position_rev"] = _cubic(wanted, before, known, motion_rev[fresh], velocity * period_s)
-    return Mended(found, wanted == known[before], int((~kept).sum()))
+    return found, wanted == known[before]
 
 
-def _held(command_a: Floats, place: Integers) -> Floats:
-    """The command of every period such that it acts from the next one on, although SYNCs were missing. (grid,)"""
-    gaps = np.diff(place)
-    held = np.repeat(command_a, np.append(gaps, 1))
-    for k in np.flatnonzero(gaps > 1):
-        begin, end = int(place[k]), int(place[k + 1])
-        held[begin : end - 1] = held[begin - 1] if begin > 0 else command_a[k]
-        held[end - 1] = command_a[k]
-    return held
+def _held(command_a: Floats, place: Integers, wanted: Integers) -> Floats:
+    """The command of periods such that it acts from the next one on, although SYNCs were missing. (wanted,)"""
+    before = np.searchsorted(place, wanted, side="right") - 1
+    last = wanted + 1 == np.append(place[1:], place[-1] + 1)[before]  # before the next SYNC; else the one before acts
+    return np.asarray(command_a[np.where(last, before, np.maximum(before - 1, 0))])
 
 
 def _cubic(wanted: Integers, before: Integers, known: Integers, values: Floats, slopes: Floats) -> Floats:

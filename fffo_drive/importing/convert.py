@@ -43,10 +43,13 @@ from .candidates import (
 )
 from .evidence import bridged, signed, unwrapped
 from .source import Source
+from .times import clock_time
 
 FACTS_NAME = "facts.yaml"  # of the attachment that a recording carries
 YAML_TYPE = "application/yaml"
 CHUNK_ROWS = 4096
+DATE_FROM = "date_from"  # in the metadata of what is imported: where the date of its messages comes from
+DATE_OF_CLOCK, DATE_OF_FILE = "clock of the log", "modification time of the source file"
 MOST_LEFT_OUT = 0.01  # of the rows of a run, without `drop`
 WRITTEN = (
     POSITION_REV,
@@ -68,6 +71,7 @@ class Converted(NamedTuple):
     doubts: tuple[str, ...] = ()  # what is assumed of columns and units
     torque_unit: str = "A"  # of the input: A, Nm, N, V, or the column's own
     left_out: int = 0  # rows that miss a number, or whose stamp is not later than all before
+    begin_s: float = 0.0  # stamp of the first row, on the clock of the log
 
 
 def converted(source: Source, found: Recognition, drop: bool = True, from_zero: bool = True) -> Converted:
@@ -118,15 +122,16 @@ def converted(source: Source, found: Recognition, drop: bool = True, from_zero: 
             "--drop",
         )
     columns = {name: np.ascontiguousarray(values[later]) for name, values in columns.items()}
+    begin_s = float(columns[TIME_S][0])
     if from_zero:
-        columns[TIME_S] = columns[TIME_S] - columns[TIME_S][0]
+        columns[TIME_S] = columns[TIME_S] - begin_s
     setpoint = columns.pop(SETPOINT_REV, None)
     if setpoint is not None and REFERENCE_RPS not in columns:
         columns[REFERENCE_RPS] = np.gradient(setpoint, columns[TIME_S])
         guess = found.of(SETPOINT_REV)
         assert guess is not None
         remarks.append(f"the reference is the derivative of {guess.column!r}")
-    return Converted(columns, tuple(remarks), assumed(found), found.torque_unit, left_out)
+    return Converted(columns, tuple(remarks), assumed(found), found.torque_unit, left_out, begin_s)
 
 
 def assumed(found: Recognition) -> tuple[str, ...]:
@@ -146,7 +151,11 @@ def _values(source: Source, guess: Guess) -> Floats:
 def write_recording(
     path: Path, source: Path, log: Converted, facts: str, linear: bool, assumed: Sequence[str] = ()
 ) -> None:
-    """The log as a recording of ours: rows at the stamps of the log, with the `facts` (YAML) and what was `assumed`."""
+    """The log as a recording of ours: rows at the stamps of the log, with the `facts` (YAML) and what was `assumed`.
+
+    The messages have the date of the log: by its own clock where that is one of a calendar, else of its file, and the
+    metadata say which.
+    """
     names = [name for name in WRITTEN if name in log.columns]
     by_name = {signal.name: signal for signal in (*SIGNALS, REFERENCE_POSITION, TEMPERATURE, MEASURED_TORQUE)}
     signals = [by_name["deadline_ns"]._replace(meaning="time of the sample on the clock of the log")]
@@ -159,7 +168,10 @@ def write_recording(
     rows["deadline_ns"] = stamps
     for name in names:
         rows[name] = log.columns[name]
+    by_clock = clock_time(log.begin_s)
+    start_ns = round(log.begin_s * NS_PER_S) if by_clock else source.stat().st_mtime_ns
     metadata = {
+        DATE_FROM: DATE_OF_CLOCK if by_clock else DATE_OF_FILE,
         "tool": LIBRARY, "imported_from": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
         "remarks": "\n".join([*(f"assumed: {one}" for one in assumed), *log.remarks]),
     }  # fmt: skip
@@ -178,12 +190,13 @@ def write_recording(
                     mcap.register(record)
                     chunk.add_record(record_bytes(record))
             part = slice(begin, begin + CHUNK_ROWS)
-            chunk.add_messages(1, _messages(rows[part], stamps[part], begin), stamps[part].astype(np.uint64))
+            times_ns = start_ns + stamps[part]
+            chunk.add_messages(1, _messages(rows[part], times_ns, begin), times_ns.astype(np.uint64))
             mcap.add_chunk(chunk)
         mcap.finish()
 
 
-def _messages(rows: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any], first: int) -> bytes:
+def _messages(rows: np.ndarray[Any, Any], times_ns: np.ndarray[Any, Any], first: int) -> bytes:
     """MCAP messages of rows, one after another."""
     size = len(CDR_HEADER) + rows.itemsize
     found = np.empty(rows.size, message_dtype(size))
@@ -191,7 +204,7 @@ def _messages(rows: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any], first: i
     found["length"] = found.itemsize - 9
     found["channel"] = 1
     found["sequence"] = first + np.arange(rows.size)
-    found["log_time"] = found["publish_time"] = stamps
+    found["log_time"] = found["publish_time"] = times_ns
     payload = np.empty((rows.size, size), np.uint8)
     payload[:, : len(CDR_HEADER)] = np.frombuffer(CDR_HEADER, np.uint8)
     payload[:, len(CDR_HEADER) :] = np.frombuffer(rows.tobytes(), np.uint8).reshape(rows.size, rows.itemsize)

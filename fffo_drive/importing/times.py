@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -27,6 +28,17 @@ LEAST_STEPPING = 0.5  # of the stamps; with fewer the clock is coarser than the 
 ROUNDED = 2.5  # median steps: what rounding makes of one
 IMPLAUSIBLE, LIE, UNLIKELY = -8.0, -5.0, -4.0  # log of a rate that no log has, of a wrong heading, of ms with digits
 NICE_RATE = 0.005  # how far a rate from a motion may be from a round one
+
+
+FIRST_TRUE_CLOCK = datetime(2000, 1, 1, tzinfo=UTC)  # a log with an earlier time counts from its own zero
+LAST_TRUE_CLOCK = datetime(2100, 1, 1, tzinfo=UTC)  # later ones are counts of something else
+
+
+def clock_time(seconds: float) -> datetime | None:
+    """A time on a clock that counts from 1970, UTC; None for one that counts from something else."""
+    if not FIRST_TRUE_CLOCK.timestamp() <= seconds < LAST_TRUE_CLOCK.timestamp():
+        return None
+    return datetime.fromtimestamp(seconds, UTC)
 
 
 class RateNeededError(AnswerNeededError):

@@ -233,7 +233,8 @@ def _prior(
         who = standing.who_of(path, None if path.name.endswith(RECORDINGS) else facts, model)
     population = standing.population_at(str(prior), who)
     degc = [measure.temperature_of(run.columns) for run in runs]
-    return standing.against_population(population, str(prior), records, degc, facts)
+    balances = [measure.balance_of_record(record, facts) for record in records]
+    return standing.against_population(population, str(prior), balances, degc, facts)
 
 
 def tune(

@@ -129,27 +129,42 @@ class Run:
         return f"{self.path}: {text}" + (f" ({self.reason})" if self.reason else "")
 
     @property
+    def profile_sizes(self) -> Mapping[int, int]:
+        """Samples of the profiles in it by their number; empty where its rows name none."""
+        if not {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
+            return {}
+        return {one.number: int(one.by_name["samples"]) for one in self.records if one.kind == RecordKind.PROFILE}
+
+    @property
     def profile_samples(self) -> int | None:
         """Samples of the profile that ran; None if there were several (recording of a service), or if it is not
         recorded.
         """
-        sizes = {record.number: record.by_name for record in self.records if record.kind == RecordKind.PROFILE}
-        if sizes and {"profile_number", "profile_sample"} <= set(self.rows.dtype.names or ()):
+        sizes = self.profile_sizes
+        if sizes:
             ran = np.unique(self.rows["profile_number"][self.rows["profile_sample"] >= 0])
-            return int(sizes[int(ran[0])]["samples"]) if ran.size == 1 and int(ran[0]) in sizes else None
+            return sizes.get(int(ran[0])) if ran.size == 1 else None
         samples = self.metadata.get("profile_samples")
         return None if samples is None else int(samples)
 
 
-def read_run(path: Path | str, topic: str = ROW_TOPIC, columns: Collection[str] | None = None) -> Run:
-    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks); `columns`: those fields
-    of the rows alone, as far as they are there, which a long one needs.
+def read_run(
+    path: Path | str,
+    topic: str = ROW_TOPIC,
+    columns: Collection[str] | None = None,
+    ranges: Sequence[tuple[int, int]] | None = None,
+) -> Run:
+    """Read a recording, finished or torn (NAME.mcap.part, a copy cut short: its whole chunks).
+
+    Of a long one less is read with `columns`, those fields of the rows alone as far as they are there, and `ranges`,
+    rows from here on and before there, rising.
 
     Raises RecordingError if it is not an MCAP file, or a complete one without rows on `topic`; OSError if it cannot be
     opened.
     """
     blocks = RowBlocks(path, topic)
-    found = [block if columns is None else block.only(columns) for block in blocks]
+    parts = blocks if ranges is None else _within(blocks, ranges)
+    found = [block if columns is None else block.only(columns) for block in parts]
     return replace(blocks.rest, **_joined(found)._asdict()) if found else blocks.rest
 
 
@@ -171,6 +186,16 @@ class RowBlock(NamedTuple):
     def stamps_ns(self) -> Array:
         """(n,) Deadlines; log times where the rows have none."""
         return self.rows["deadline_ns"] if "deadline_ns" in (self.rows.dtype.names or ()) else self.log_time_ns
+
+
+def _within(blocks: Iterable[RowBlock], ranges: Sequence[tuple[int, int]]) -> Iterator[RowBlock]:
+    number = 0
+    for block in blocks:
+        for first, end in ranges:
+            part = slice(max(0, first - number), max(0, end - number))
+            if part.start < min(part.stop, len(block.rows)):
+                yield RowBlock(block.rows[part].copy(), block.log_time_ns[part].copy())
+        number += len(block.rows)
 
 
 def _joined(blocks: Sequence[RowBlock]) -> RowBlock:

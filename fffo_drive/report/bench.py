@@ -38,6 +38,7 @@ from .document import (
     provenance,
     significant,
     source_file,
+    source_log,
 )
 from .figures import Figure
 from .intervals import ShownInterval, ratio_intervals
@@ -366,7 +367,7 @@ def _ticks_table(result: BenchResult) -> Table:
 def _provenance(records: Mapping[str, BenchRecord]) -> ReportProvenance:
     parts = [part for record in records.values() for part in record.parts]
     first = parts[0]
-    files = [source_file(part.path.name, part.path.read_bytes()) for part in parts]
+    files = [source_log(part.path) for part in parts]
     files += [source_file(entry.name, entry.data, text=True) for entry in first.attachments.values()]
     wanted = {
         "begun": "recorded", "drive": "drive", "drive_serial": "serial", "kernels": "compiled code", "system": "system",

@@ -10,8 +10,9 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -283,6 +284,13 @@ def source_file(name: str, data: bytes, text: bool = False) -> SourceFile:
     """A file by its content; `text` keeps a UTF-8 text with it."""
     content = data.decode("utf-8", "replace") if text else None
     return SourceFile(name=name, bytes=len(data), sha256=sha256(data).hexdigest(), text=content)
+
+
+def source_log(path: Path) -> SourceFile:
+    """A file that may be longer than the memory, by its content. Raises OSError."""
+    with path.open("rb") as file:
+        digest = file_digest(file, "sha256")
+        return SourceFile(name=path.name, bytes=file.tell(), sha256=digest.hexdigest(), text=None)
 
 
 def provenance(files: list[SourceFile], facts: Mapping[str, str], now: datetime | None = None) -> ReportProvenance:

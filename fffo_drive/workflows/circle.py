@@ -25,7 +25,7 @@ from ..identification.facts import read_facts
 from ..model.effects.laws.second_surface import SECOND_SURFACE
 from ..model.parameters import ModelFile, read_model
 from ..report.circle import KIND, CircleRun, CircleSource, circle_report, tracking_of
-from ..report.document import provenance, source_file
+from ..report.document import provenance, source_file, source_log
 from ..report.page import refuse_other_report, write_report
 from .adopt import put_in_service, read_report
 from .adoption_gates import STABILITY, Gate, gates, held_out_gate, refused_effects
@@ -289,7 +289,7 @@ def _source(
     """Everything that the report is made of."""
     before = fit[0]
     runs = {run.path.stem: run for run in (*fit, *([after] if after else []))}
-    files = [source_file(run.path.name, run.path.read_bytes()) for run in runs.values()]
+    files = [source_log(run.path) for run in runs.values()]
     served = services(circle.axis, model) if model else []
     shown = [circle.path, *([circle.out / "simulated.yaml"] if (circle.out / "simulated.yaml").exists() else [])]
     files += [source_file(path.name, path.read_bytes(), text=True) for path in shown]

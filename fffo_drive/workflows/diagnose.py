@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..diagnosis.results import Diagnosis
 from ..identification.coverage import Coverage, coverage_of
-from ..identification.dataset import Record, load_records
+from ..identification.dataset import Record
 from ..identification.declared import weight_remarks
 from ..identification.facts import DriveFacts
 from ..identification.population import AgainstPopulation
+from ..identification.stretches import MOST_DIAGNOSED, load_logs
 from ..identification.torque_sensor import sensor_remarks
 from ..model.parameters import ModelFile, read_model, write_model
 from ..report.coverage import coverage_section
 from ..report.diagnose import KIND, DiagnosisSource, write_diagnosis_report
-from ..report.document import provenance, source_file
+from ..report.document import provenance, source_log
 from ..report.page import refuse_other_report
 from .progress import Bar, Share, no_bar
 from .recorded_facts import facts_for
@@ -77,7 +78,8 @@ def diagnose_recordings(
     settings = settings or DiagnosisSettings()
     settings = settings._replace(without=settings.without | frozenset(without))
     model = None if model_file is None else read_model(model_file)
-    records = load_records([*fit, *held_out], facts)
+    with bar("read") as progress:
+        records = load_logs([*fit, *held_out], facts, progress, MOST_DIAGNOSED)
     against = None if prior is None else prior(facts)
     if covered is not None:
         covered(records, coverage_of(records[: len(fit)]), facts)
@@ -105,7 +107,7 @@ def write_diagnosis(
     elif model_path.exists():
         model_path.unlink()
         removed = True
-    sources = provenance([source_file(path.name, path.read_bytes()) for path in files], {"units": facts.units})
+    sources = provenance([source_log(path) for path in files], {"units": facts.units})
     data = coverage_section(list(fit), coverage_of(list(fit)), facts.units == "linear")
     source = DiagnosisSource(facts.name or name, sources, str(model_path) if written else "", data)
     paths = write_diagnosis_report(source, found, out)

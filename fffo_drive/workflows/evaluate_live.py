@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -31,15 +31,16 @@ from ..documents import DocumentError
 from ..drive.port import DriveIdentity
 from ..evaluation.campaign import Evaluation, evaluation_of
 from ..evaluation.measures import Yardstick
-from ..evaluation.trace import SAMPLE, TRACED, trace_of
-from ..recording.reader import Run, read_run
-from ..recording.settings import Rows, RunHeader
+from ..evaluation.metrics import profile_rows
+from ..evaluation.trace import SAMPLE, Trace, traces
+from ..recording.reader import Run, read_without_rows
+from ..recording.settings import RunHeader
 from ..runtime.runs import RunOutcome, record_live
 from ..runtime.session import Session
 from .errors import DriveFaultError, RecordingGapError
 from .plan import YAML_TYPE, Plan, connect, open_drive, plan_session, run_header
 from .progress import Bar, no_bar
-from .recordings import recorded_rows, recorder_hooks
+from .recordings import recorded_blocks, recorder_hooks
 from .replay import recorded_files
 from .simulated_process import SimulatedProcess
 
@@ -57,26 +58,28 @@ def evaluate_recordings(
     files: Sequence[str], yardstick: Yardstick | None
 ) -> tuple[Yardstick, list[Evaluation], list[str]]:
     """Recorded runs by controller, the n-th run of each as its seed n; and cautions about comparing them."""
-    runs = [read_run(file, columns=(*TRACED, "profile_number")) for file in files]
-    shapes = {(run.profile_samples, run.metadata.get("period_s")) for run in runs}
-    cautions = [f"{run.path.name}: {run.reason}" for run in runs if not run.complete]
+    runs = [_seen(Path(file)) for file in files]
+    shapes = {(run.samples, run.rest.metadata.get("period_s")) for run in runs}
+    cautions = [f"{run.rest.path.name}: {run.rest.reason}" for run in runs if not run.rest.complete]
     if len(shapes) > 1:
         cautions.append("The recordings have different profiles: their metrics are not comparable.")
-    rows = [_profile_of(run) for run in runs]
-    for run, (own, samples) in zip(runs, rows, strict=True):
-        reached = (int(own[SAMPLE][-1]) + 1) / samples
+    for run in runs:
+        reached = (run.last + 1) / run.samples
         if reached < WHOLE_SHARE:
-            cautions.append(f"{run.path.name}: it ended after {100.0 * reached:.0f} % of its profile.")
+            cautions.append(f"{run.rest.path.name}: it ended after {100.0 * reached:.0f} % of its profile.")
     if yardstick is None:
-        largest_rps = max(float(np.abs(own["reference_rps"] - own["velocity_rps"]).max()) for own, _ in rows)
+        largest_rps = max(run.largest_rps for run in runs)
         yardstick = Yardstick(BANDS_RPS, np.linspace(-largest_rps, largest_rps, HISTOGRAM_BINS + 1))
     counted: dict[str, int] = {}
     evaluations = []
-    for run, name, (own, samples) in zip(runs, controller_names(runs), rows, strict=True):
+    for run, name in zip(runs, controller_names([run.rest for run in runs]), strict=True):
         counted[name] = counted.get(name, 0) + 1
-        period_s = float(run.metadata["period_s"])
-        windows = cutouts_of(period_s * samples) if counted[name] == 1 else ()
-        evaluations.append(evaluation_of(name, counted[name], trace_of(own, period_s), yardstick, windows))
+        parts = ProfileParts([run.rest.path], float(run.rest.metadata["period_s"]), run.samples)
+        windows = cutouts_of(parts.period_s * run.samples) if counted[name] == 1 else ()
+        try:
+            evaluations.append(evaluation_of(name, counted[name], parts, yardstick, windows))
+        except ValueError as error:
+            raise DocumentError(f"{run.rest.path}: {error}") from None
     return yardstick, evaluations, cautions
 
 
@@ -124,15 +127,45 @@ def controller_name(run: Run) -> str:
     return name
 
 
-def _profile_of(run: Run) -> tuple[Rows, int]:
-    """The rows inside the profile of a run, and its samples. Raises DocumentError."""
-    samples, sample = run.profile_samples or 0, run.rows[SAMPLE]
-    if samples == 0 and (sample >= 0).any():
-        raise DocumentError(f"{run.path}: contains more than one profile: give recordings of one profile each")
-    inside = run.rows[(sample >= 0) & (sample < samples)]
-    if inside.size == 0 or "period_s" not in run.metadata:
-        raise DocumentError(run.lacks("contains no profile with the velocity loop closed"))
-    return inside, samples
+class ProfileParts:
+    """A profile as its files recorded it, in parts that follow each other; each iteration reads the files anew."""
+
+    def __init__(self, files: Sequence[Path], period_s: float, samples: int) -> None:
+        self._files, self.period_s, self.samples = files, period_s, samples
+
+    def __iter__(self) -> Iterator[Trace]:
+        return traces(recorded_blocks(self._files), self.period_s, self.samples)
+
+
+class _Seen(NamedTuple):
+    """A recording of one profile, read once."""
+
+    rest: Run  # without its rows
+    samples: int
+    last: int  # sample that ran
+    largest_rps: float  # error against the measured velocity
+
+
+def _seen(file: Path) -> _Seen:
+    """Raises DocumentError where it is no run of one profile."""
+    rest = read_without_rows(file)
+    sizes, samples, last, largest_rps = rest.profile_sizes, rest.profile_samples, -1, 0.0
+    numbers: set[int] = set()
+    for rows in recorded_blocks([file]):
+        inside = profile_rows(rows)
+        if sizes and inside.size:
+            numbers |= set(np.unique(inside["profile_number"]).tolist())
+            samples = sizes.get(min(numbers)) if len(numbers) == 1 else None
+        if samples is None and inside.size:
+            raise DocumentError(f"{file}: contains more than one profile: give recordings of one profile each")
+        inside = profile_rows(inside, samples)
+        if inside.size:
+            last = int(inside[SAMPLE][-1])
+            error_rps = np.abs(inside["reference_rps"] - inside["velocity_rps"])
+            largest_rps = max(largest_rps, float(error_rps.max()))
+    if last < 0 or samples is None or "period_s" not in rest.metadata:
+        raise DocumentError(rest.lacks("contains no profile with the velocity loop closed"))
+    return _Seen(rest, samples, last, largest_rps)
 
 
 class BusRun(NamedTuple):
@@ -200,9 +233,9 @@ def evaluate_on_bus(
     """What `runs_on_bus` ran, measured."""
     evaluations = []
     for run in runs_on_bus(scenario, bus, node, out, given, bar):
-        trace = trace_of(recorded_rows(run.outcome.files), run.profile.period_s, run.profile.values.size)
+        parts = ProfileParts(run.outcome.files, run.profile.period_s, run.profile.values.size)
         windows = cutouts_of(run.profile.duration_s) if run.seed == scenario.seeds[0] else ()
-        evaluations.append(evaluation_of(run.controller, run.seed, trace, yardstick_of(scenario.file), windows))
+        evaluations.append(evaluation_of(run.controller, run.seed, parts, yardstick_of(scenario.file), windows))
     return evaluations
 
 

@@ -12,13 +12,13 @@ from ..config.axis import recorder_settings
 from ..config.commissioning import Permission
 from ..config.runaway import accepted_words
 from ..drive.port import Drive
-from ..evaluation.metrics import profile_rows, run_metrics, tick_statistics
+from ..evaluation.metrics import ErrorSums, TickSums, profile_rows
 from ..runtime.fault_at_start import clear_fault
 from ..runtime.runs import RunOutcome, record_live, record_simulated, simulated_ring_rows
 from ..runtime.session import Session
 from .plan import Plan, connect, effect_monitor, plan_session, run_header, toggle_name
 from .progress import Bar, no_bar
-from .recordings import recorded_rows, recorder_hooks
+from .recordings import recorded_blocks, recorder_hooks
 
 
 def record_run(
@@ -65,9 +65,13 @@ def summarise(plan: Plan, outcome: RunOutcome, toggle: int) -> dict[str, Any]:
         "rows_dropped": recorder.rows_dropped,
         "write_errors": recorder.write_errors,
     }
-    rows = recorded_rows(outcome.files)
-    if rows.size:
-        summary["ticks"] = tick_statistics(rows, outcome.exchange)._asdict()
-    if profile_rows(rows, plan.profile.values.size).size:
-        summary["metrics"] = run_metrics(rows, plan.profile.period_s, plan.profile.values.size)._asdict()
+    ticks, errors = TickSums(), ErrorSums()
+    for rows in recorded_blocks(outcome.files):
+        ticks.take(rows)
+        inside = profile_rows(rows, plan.profile.values.size)
+        errors.take(inside["reference_rps"] - inside["velocity_rps"])
+    if ticks.rows:
+        summary["ticks"] = ticks.statistics(outcome.exchange)._asdict()
+    if errors.samples:
+        summary["metrics"] = errors.metrics(plan.profile.period_s)._asdict()
     return summary

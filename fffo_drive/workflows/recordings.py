@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from ..config.axis import AxisFile
 from ..recording.disk import DiskLife, disk_life, row_bytes
 from ..recording.events import Event, Level
-from ..recording.reader import read_run
+from ..recording.reader import RowBlocks, groups
 from ..recording.rotation import SERVICE, OfOneWriter, disk_use, is_taken
 from ..recording.settings import RecorderHooks, Rows
 from ..signals import ROW
@@ -49,7 +49,17 @@ def expected_disk_life(axis: AxisFile, directory: Path) -> DiskLife:
     return disk_life(bytes_per_s, use, section.quota_bytes)
 
 
+def recorded_blocks(files: Iterable[Path]) -> Iterator[Rows]:
+    """Rows of the files of one run, incomplete ones included, block by block; files that a quota has deleted are
+    skipped.
+    """
+    for file in files:
+        if file.exists():
+            for rows, _ in groups(RowBlocks(file)):
+                yield rows
+
+
 def recorded_rows(files: Iterable[Path]) -> Rows:
-    """Rows of the files of one run, incomplete ones included; files that a quota has deleted are skipped."""
-    parts = [read_run(file).rows for file in files if file.exists()]
-    return np.concatenate(parts) if parts else np.zeros(0, ROW)
+    """All of them together."""
+    blocks = list(recorded_blocks(files))
+    return np.concatenate(blocks) if blocks else np.zeros(0, ROW)

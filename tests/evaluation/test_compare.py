@@ -58,7 +58,7 @@ def test_per_cent_is_of_the_smallest_unless_a_base_is_named():
 def evaluation(name: str, seed: int, error_rps: float, trip: int = TRIP_NONE) -> Evaluation:
     reference = np.sin(0.01 * np.arange(4000) + seed)
     trace = Trace(5e-4, reference, reference - error_rps, reference - 0.1 * error_rps, reference)
-    measures = measure(trace, Yardstick((0.0, 1000.0), np.linspace(-1.0, 1.0, 21)))
+    measures = measure([trace], Yardstick((0.0, 1000.0), np.linspace(-1.0, 1.0, 21)))
     return Evaluation(name, seed, trip, measures if trip == TRIP_NONE else None, ())
 
 

@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fffo_drive.evaluation.campaign import cut
+from fffo_drive.evaluation.campaign import cut, evaluation_of
 from fffo_drive.evaluation.effort import control_effort
 from fffo_drive.evaluation.measures import Yardstick, measure
+from fffo_drive.evaluation.metrics import TickSums
 from fffo_drive.evaluation.reversal import Reversals, crossing_error, find_reversals, near_reversals, reversal_lag
-from fffo_drive.evaluation.trace import Trace, trace_of
+from fffo_drive.evaluation.summary import figures_of
+from fffo_drive.evaluation.trace import Trace, trace_of, traces
 from fffo_drive.signals import ROW
 
 PERIOD_S = 5e-4
@@ -97,7 +99,7 @@ def test_effort_of_a_slow_loop_has_no_high_band():
 def test_bands_and_histogram_hold_every_sample_once():
     reference = sine()
     measured = sine(0.002) + np.random.default_rng(2).normal(0.0, 0.05, TIME_S.size)
-    found = measure(Trace(PERIOD_S, reference, measured, None, np.zeros(TIME_S.size)), YARDSTICK)
+    found = measure([Trace(PERIOD_S, reference, measured, None, np.zeros(TIME_S.size))], YARDSTICK)
     assert found.true is None
     assert sum(band.ise for band in found.measured.bands) == pytest.approx(found.measured.error.ise)
     assert found.measured.histogram.sum() == TIME_S.size
@@ -129,14 +131,14 @@ def test_ticks_that_came_too_late_leave_the_others_at_their_time():
     assert trace.skipped == TIME_S.size - len(kept)
     assert trace.command_a[1039] == TIME_S[999]  # held
     whole = Trace(PERIOD_S, sine(), sine(0.002), None, TIME_S)
-    found, wanted = measure(trace, YARDSTICK).measured, measure(whole, YARDSTICK).measured
+    found, wanted = measure([trace], YARDSTICK).measured, measure([whole], YARDSTICK).measured
     assert found.error.ise == pytest.approx(wanted.error.ise, rel=2e-3)
     assert found.lag.mean_absolute_ms == pytest.approx(wanted.lag.mean_absolute_ms, abs=0.05)
 
 
 def test_a_run_that_stopped_early_has_no_cutout_of_what_it_did_not_reach():
     trace = Trace(PERIOD_S, sine()[:1000], sine(0.002)[:1000], None, np.zeros(1000))
-    pieces = cut(trace, ((0.1, 0.2), (0.45, 0.55), (0.5, 0.6), (0.9, 1.0)))
+    pieces = cut([trace], ((0.1, 0.2), (0.45, 0.55), (0.5, 0.6), (0.9, 1.0)), False)
     assert [(piece.start_s, piece.velocity_rps.size) for piece in pieces] == [(0.1, 200), (0.45, 100)]
 
 
@@ -157,3 +159,83 @@ def test_the_error_at_a_crossing_is_the_lag_times_the_slope(amplitude_rps, fast)
         assert found.fast == 0
         assert found.slow_error_mrps == pytest.approx(1e3 * slope_rps2 * late_s, rel=2e-3)
         assert np.isnan(found.fast_lag_ms)
+
+
+def rows_of_a_run(seed: int) -> np.ndarray:
+    """Reversals fast and slow, a stretch that creeps inside the threshold, skipped ticks, and noise."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros(9000, ROW)
+    rows["profile_sample"] = np.arange(rows.size)
+    time_s = PERIOD_S * np.arange(rows.size)
+    reference = 3.0 * np.sin(2.0 * math.pi * 1.7 * time_s) + 0.4 * np.sin(2.0 * math.pi * 9.0 * time_s)
+    reference[4000:5800] = np.linspace(0.04, -0.04, 1800)  # crosses zero far from both thresholds
+    rows["reference_rps"] = reference
+    rows["velocity_rps"] = np.roll(reference, 4) + rng.normal(0.0, 0.02, rows.size)
+    rows["true_velocity_rps"] = np.roll(reference, 3)
+    rows["current_command_a"] = rng.normal(0.0, 1.0, rows.size)
+    return rows[np.sort(rng.choice(rows.size, 8700, replace=False))]
+
+
+@given(seed=st.integers(0, 9), edges=st.lists(st.integers(0, 8700), max_size=30))
+@settings(max_examples=25, deadline=None)
+def test_a_run_in_parts_measures_as_it_does_as_a_whole(seed, edges):
+    """Counts, lags, crossings and the largest error to the last bit; sums but for the order of their terms."""
+    rows = rows_of_a_run(seed)
+    windows = ((0.3, 0.5), (2.9, 3.1), (4.4, 4.6))
+    whole, parts = (
+        evaluation_of("pi", 1, list(traces(blocks, PERIOD_S)), YARDSTICK, windows)
+        for blocks in ([rows], np.split(rows, sorted(edges)))
+    )
+    assert parts.skipped_share == whole.skipped_share > 0.02
+    assert figures_of(parts.measures) == pytest.approx(figures_of(whole.measures), rel=1e-12)
+    for own, wanted in ((parts.measures.measured, whole.measures.measured), (parts.measures.true, whole.measures.true)):
+        assert (own.lag, own.crossing, own.error.max) == (wanted.lag, wanted.crossing, wanted.error.max)
+        np.testing.assert_array_equal(own.histogram, wanted.histogram)
+    assert len(whole.cutouts) == len(parts.cutouts) == 3
+    for own, wanted in zip(parts.cutouts, whole.cutouts, strict=True):
+        np.testing.assert_array_equal(own.velocity_rps, wanted.velocity_rps)
+        np.testing.assert_array_equal(own.reference_rps, wanted.reference_rps)
+
+
+def test_a_reversal_counts_for_the_samples_before_it_that_are_in_another_part():
+    rows = rows_of_a_run(1)
+    reference = find_reversals(trace_of(rows, PERIOD_S).reference_rps, PERIOD_S)
+    whole = near_reversals(reference, 9000, PERIOD_S, 0.025)
+    parts = [near_reversals(reference, 100, PERIOD_S, 0.025, begin) for begin in range(0, 9000, 100)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    assert 0.05 < whole.mean() < 0.6
+
+
+def test_a_profile_that_ran_twice_in_one_recording_is_not_taken_for_one_run():
+    rows = np.concatenate([rows_of_a_run(1), rows_of_a_run(1)])
+    with pytest.raises(ValueError, match="ran more than once: cut out one run with fffo-drive log export"):
+        list(traces([rows], PERIOD_S))
+    with pytest.raises(ValueError, match="ran more than once"):
+        list(traces(np.split(rows, 2), PERIOD_S))
+
+
+@given(parts=st.lists(st.lists(st.integers(-400, 400), max_size=40), min_size=1, max_size=6))
+@settings(max_examples=60, deadline=None)
+def test_statistics_of_ticks_block_by_block_are_those_of_all_of_them(parts):
+    sums, blocks = TickSums(), []
+    for turnaround_ns in parts:
+        block = np.zeros(len(turnaround_ns), ROW)
+        block["turnaround_ns"], block["lateness_ns"] = turnaround_ns, np.abs(turnaround_ns)
+        block["tick"] = 1000 + 2 * np.arange(block.size) + 2 * sum(len(one) for one in blocks)
+        blocks.append(block)
+        sums.take(block)
+    rows = np.concatenate(blocks)
+    if not rows.size:
+        with pytest.raises(ValueError, match="the loop did not run"):
+            sums.statistics()
+        return
+    found = sums.statistics()
+    assert (found.ticks, found.skipped) == (rows.size, rows.size - 1)
+    late_us = rows["lateness_ns"] / 1e3
+    wanted = [*np.percentile(late_us, [50, 99]), late_us.max()]
+    assert [found.lateness_us_p50, found.lateness_us_p99, found.lateness_us_max] == pytest.approx(wanted, rel=1e-12)
+    answered = rows["turnaround_ns"][rows["turnaround_ns"] >= 0]
+    assert found.missing_feedback == rows.size - answered.size
+    assert found.turnaround_us_p50 == pytest.approx(
+        np.median(answered) / 1e3 if answered.size else math.nan, nan_ok=True
+    )

@@ -14,6 +14,7 @@ from fffo_drive.cli import main
 from fffo_drive.documents import DocumentError
 from fffo_drive.fleet.dating import CROWD_RUNS, read_manifest, time_in_name
 from fffo_drive.fleet.store import FleetStore
+from fffo_drive.recording.reader import read_metadata
 
 DAY = datetime(2026, 1, 15, 10, 28, 10, tzinfo=UTC)
 TODAY_S = datetime(2026, 11, 29, tzinfo=UTC).timestamp()
@@ -107,6 +108,7 @@ def test_a_manifest_replaces_many_calls(runs, facts_file, tmp_path):
         ("path,serials\na.csv,1\n", "line 1, column 'serials': did you mean 'serial'"),
         ("serial\nSN1\n", "line 1: no column `path`"),
         ("path,time\na.csv,yesterday\n", "line 2, time 'yesterday': a date such as"),
+        ("path,temperature_degc\na.csv,warm\n", "line 2, temperature_degc 'warm': a number in degC"),
         ("path\n\n\na.csv\na.csv\n", "a.csv stands in it twice"),
         ("path\na.csv,SN1\n", "line 2: more values than the heading has"),
         ("path,serial\n,SN1\n", "line 2: no path"),
@@ -120,3 +122,66 @@ def test_a_mistake_in_a_manifest_names_its_line(tmp_path, text, said):
         read_manifest(path)
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_a_date_given_later_replaces_that_of_the_file_and_the_record_follows(runs, facts_file, tmp_path, capsys):
+    store = tmp_path / "store"
+    words = ["--from", str(runs), "--serial", "SN7"]
+    assert add(store, facts_file, *words, "--work", "--workers", "1") == 0
+    before = {row["run"]: row for row in FleetStore(str(store)).records().to_pylist()}
+    capsys.readouterr()
+    assert add(store, facts_file, *words, "--time-from", "name") == 0
+    assert f"0 runs added, 0 known before, {CROWD_RUNS} changed" in capsys.readouterr().out
+    after = {row["run"]: row for row in FleetStore(str(store)).records().to_pylist()}
+    assert after.keys() == before.keys()
+    for run, row in after.items():
+        assert row["start"] == time_in_name(row["path"])
+        unchanged = {name: value for name, value in row.items() if name != "start"}
+        assert str(unchanged) == str({name: value for name, value in before[run].items() if name != "start"})
+    assert starts(store)["axis7_2026-01-15_10h28m10.csv"] == DAY
+    assert add(store, facts_file, *words, "--time-from", "name") == 0
+    assert f"0 runs added, {CROWD_RUNS} known before" in capsys.readouterr().out
+    assert FleetStore(str(store)).waiting() == []
+
+
+def test_a_temperature_of_a_manifest_is_that_of_the_record(runs, facts_file, tmp_path):
+    names = sorted(path.name for path in runs.iterdir())
+    manifest = runs / "manifest.csv"
+    lines = [f"{name},SN1,{20.5 + k if k else ''}" for k, name in enumerate(names[:3])]
+    manifest.write_text("\n".join(["path,serial,temperature_degc", *lines, ""]))
+    store = tmp_path / "store"
+    assert add(store, facts_file, "--manifest", str(manifest), "--work", "--workers", "1") == 0
+    degc = {os.path.basename(r["path"]): r["temperature_degc"] for r in FleetStore(str(store)).records().to_pylist()}
+    assert [degc[name] for name in names[:3]] == [None, 21.5, 22.5]
+    manifest.write_text(f"path,temperature_degc\n{names[0]},30\n")
+    assert add(store, facts_file, "--manifest", str(manifest)) == 0
+    degc = {os.path.basename(r["path"]): r["temperature_degc"] for r in FleetStore(str(store)).records().to_pylist()}
+    assert [degc[name] for name in names[:3]] == [30.0, 21.5, 22.5]
+
+
+def test_a_column_of_time_that_counts_from_zero_says_no_date(runs, facts_file, tmp_path, capsys):
+    words = ["--from", str(runs), "--serial", "SN7", "--time-from", "column"]
+    assert add(tmp_path / "store", facts_file, *words) == 78
+    said = capsys.readouterr().err
+    assert said.count("its time counts from a zero of its own, which says no date: use --time-from name") == CROWD_RUNS
+
+
+@pytest.mark.parametrize("calendar", [True, False])
+def test_what_is_imported_keeps_its_date(runs, facts_file, tmp_path, calendar, capsys):
+    path = sorted(runs.iterdir())[0]
+    if calendar:
+        head, *rows = path.read_text().splitlines()
+        moved = [f"{float(row.split(',')[0]) + DAY.timestamp():.6f},{row.split(',', 1)[1]}" for row in rows]
+        path.write_text("\n".join([head, *moved]) + "\n")
+    os.utime(path, (TODAY_S,) * 2)
+    assert main(["import", str(path), "--torque-constant", "0.1", "--out", str(tmp_path / "out")]) == 0
+    (made,) = (tmp_path / "out").glob("*.mcap")
+    said = read_metadata(made)["date_from"]
+    assert said == ("clock of the log" if calendar else "modification time of the source file")
+    store = tmp_path / "store"
+    assert main(["fleet", "add", str(store), str(made), "--serial", "SN7", "--model", "M1"]) == 0
+    (start,) = starts(store).values()
+    assert start.timestamp() == pytest.approx(DAY.timestamp() if calendar else TODAY_S, abs=1e-3)
+    assert main(["fleet", "add", str(tmp_path / "s2"), str(made), "--serial", "A", "--time-from", "column"]) == (
+        0 if calendar else 78
+    )

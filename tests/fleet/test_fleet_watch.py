@@ -27,6 +27,7 @@ from fffo_drive.fleet.detector import (
 from fffo_drive.fleet.history import RunHistory
 from fffo_drive.fleet.matrices import inverse_total
 from fffo_drive.fleet.regress import COULOMB, OFFSET, PARAMETERS, STRIBECK, VISCOUS
+from fffo_drive.fleet.thermometers import seen_share
 from fffo_drive.fleet.watch import FleetWatch, watch, watch_lines, watch_model
 
 Floats = npt.NDArray[np.float64]
@@ -370,3 +371,77 @@ def test_the_level_of_a_drive_is_the_least_squares_of_its_runs_so_far(warm: floa
             assert levels[block, drive] == pytest.approx(expected[:p], rel=1e-9)
             if warm:
                 assert slopes[block, drive] == pytest.approx(expected[p:], rel=1e-9)
+
+
+# -- thermometers
+
+SEASONS = 2.0 * np.pi / 52.0
+
+
+def with_thermometer(kind: str, number: int) -> RunHistory:
+    """A drive as `drawn`, with a thermometer at the drive, in the cabinet (25.0 +- 0.3 degC), or one that shows one of
+    two sources of heat that are alike in size. Drives 0 to 5 wear from run 25 on.
+    """
+    history = drawn(number, {COULOMB: 0.10, STRIBECK: 0.10} if number < 6 else None)
+    rng = np.random.default_rng([15, number])
+    if kind == "half":
+        warmer_k = 10.0 * np.sin(3.1 * SEASONS * np.arange(50) + 2.0 * np.pi * rng.random())
+        history.theta[:, VISCOUS] += LEVEL[VISCOUS] * VISCOUS_PER_K * warmer_k
+        history.theta[:, [COULOMB, STRIBECK]] += LEVEL[COULOMB] * COULOMB_PER_K * warmer_k[:, None]
+    elif kind == "cabinet":
+        return history._replace(temperature_degc=25.0 + 0.3 * rng.standard_normal(50))
+    return history
+
+
+@pytest.fixture(scope="module")
+def thermometers() -> FleetWatch:
+    """24 drives: every fourth thermometer is in the cabinet, and every fourth shows half."""
+    kinds = ("drive", "drive", "cabinet", "half")
+    return watch({str(number): with_thermometer(kinds[number % 4], number) for number in range(24)}, 1e-3)
+
+
+def test_a_thermometer_that_explains_nothing_is_not_used_and_one_that_sees_half_is_used_half(
+    thermometers: FleetWatch,
+) -> None:
+    seen = thermometers.stack.seen
+    assert (seen[0::4] == 1.0).all()
+    assert (seen[1::4] == 1.0).all()
+    assert (seen[2::4] == 0.0).all()
+    assert 0.4 <= seen[3::4].mean() <= 0.7
+    assert (np.abs(seen[3::4] - 0.5) <= 0.25).all()
+    viscous = thermometers.channels.y[:, thermometers.channels.laws.index("viscous friction")].reshape(24, 50)
+    assert (np.isfinite(viscous).all(axis=1) == (seen == 1.0)).all()
+
+
+def test_what_became_of_a_thermometer_is_told(thermometers: FleetWatch) -> None:
+    said = "\n".join(watch_lines(thermometers.found))
+    assert "2: the logged temperature explains nothing of its viscous friction, and is not used" in said
+    assert "3: the logged temperature explains some" in said
+    assert "\n0: the logged temperature" not in said
+    assert thermometers.found.thermometers == 24
+    alone = watch({str(number): with_thermometer("cabinet", number) for number in range(24)}, 1e-3).found
+    assert watch_lines(alone)[-1].startswith("no logged temperature shows that of its drive: viscous friction is not")
+
+
+def test_wear_is_found_beside_such_thermometers_and_their_season_is_none(thermometers: FleetWatch) -> None:
+    assert {alarm.drive for alarm in thermometers.found.alarms} == {"0", "1", "2", "3", "4", "5"}
+    assert {alarm.law for alarm in thermometers.found.alarms} == {"Coulomb friction"}
+
+
+def test_wear_of_viscous_friction_is_no_fault_of_a_thermometer() -> None:
+    found = watch(fleet(change={VISCOUS: 0.5}), 1e-3)
+    assert found.stack.seen[0] == 1.0
+    assert [(alarm.drive, alarm.law) for alarm in found.found.alarms] == [("0", "viscous friction")]
+
+
+@pytest.mark.parametrize(("noise", "wanted"), [(0.0, 1.0), (1.0, 1.0)])
+def test_errors_of_single_runs_are_no_unseen_temperature(noise: float, wanted: float) -> None:
+    """What a thermometer does not see is what lasts."""
+    rng = np.random.default_rng(16)
+    steps = np.sin(SEASONS * np.arange(200.0))
+    viscous = 1.0 - 0.5 * steps + noise * 0.2 * rng.standard_normal(200)
+    assert seen_share(viscous, np.full(200, 0.04), steps) == wanted
+    other = 0.5 * np.sin(3.3 * SEASONS * np.arange(200.0))
+    assert seen_share(viscous + other, np.full(200, 0.04), steps) == 0.5
+    assert seen_share(viscous, np.full(200, 0.04), rng.standard_normal(200)) == 0.0
+    assert seen_share(viscous[:10], np.full(10, 0.04), rng.standard_normal(10)) == 1.0  # too few to say so

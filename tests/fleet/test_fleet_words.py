@@ -59,7 +59,8 @@ def alarm(drive):
 
 
 def page(own, alarms=(), doubts=(), status=None, laws=("viscous friction", "Coulomb friction")):
-    watched = Watched(tuple(alarms), tuple(doubts), len(own.drives), int(own.runs.sum()), 1.0, RATE, laws)
+    logged = len(own.drives) if "viscous friction" in laws else 0
+    watched = Watched(tuple(alarms), tuple(doubts), len(own.drives), int(own.runs.sum()), 1.0, RATE, laws, logged)
     done = status or StoreStatus(*([0] * len(StoreStatus._fields)))
     return fleet_report(FleetSource("store", done, [own], {}, {"M1": watched}))
 

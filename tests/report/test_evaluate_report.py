@@ -1,16 +1,18 @@
 """The report of runs that are not whole: what was skipped is said, and nothing is drawn of what is not there."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fffo_drive.cli.evaluate import print_summary
+from fffo_drive.documents import DocumentError
 from fffo_drive.evaluation.campaign import evaluation_of
 from fffo_drive.evaluation.measures import Yardstick
 from fffo_drive.evaluation.summary import summarise
 from fffo_drive.evaluation.trace import trace_of
+from fffo_drive.recording.run_records import RecordKind, RunRecord
+from fffo_drive.recording.writer import RunWriter
 from fffo_drive.report.document import provenance
 from fffo_drive.report.evaluate import EvaluationSource, evaluation_report
 from fffo_drive.report.page import render_page
@@ -34,7 +36,7 @@ def rows_of(kept, error_rps):
 
 def run(name, kept, error_rps, seed=1):
     return evaluation_of(
-        name, seed, trace_of(rows_of(kept, error_rps), PERIOD_S), YARDSTICK, WINDOWS_S if seed == 1 else ()
+        name, seed, [trace_of(rows_of(kept, error_rps), PERIOD_S)], YARDSTICK, WINDOWS_S if seed == 1 else ()
     )
 
 
@@ -104,7 +106,7 @@ def test_a_controller_that_missed_every_reversal_says_so_and_the_other_that_the_
 
 def test_a_band_that_the_reference_never_reaches_says_so():
     wide = YARDSTICK._replace(band_edges_rps=(0.0, 0.5, 50.0, 1000.0))
-    runs = [evaluation_of(name, 1, trace_of(rows_of(range(SAMPLES), 0.01), PERIOD_S), wide, ()) for name in "ab"]
+    runs = [evaluation_of(name, 1, [trace_of(rows_of(range(SAMPLES), 0.01), PERIOD_S)], wide, ()) for name in "ab"]
     source = EvaluationSource("title", "subtitle", wide, [], provenance([], {}))
     report = evaluation_report(source, summarise(runs), runs)
     assert cells_of(report, "bands")["a"][-1] == "not reached"
@@ -124,19 +126,34 @@ def test_runs_that_are_whole_have_no_such_caution():
     assert not any("too late" in text for text in report.verdict.cautions)
 
 
-def test_a_recording_that_stops_before_its_profile_does_is_named(monkeypatch):
-    def recorded(file, columns=None):
-        kept = range(SAMPLES // 2 if file == "early" else SAMPLES)
-        metadata = {"period_s": str(PERIOD_S), evaluate_live.CANDIDATE: file}
-        return SimpleNamespace(
-            rows=rows_of(kept, 0.01), metadata=metadata, profile_samples=SAMPLES, complete=True, reason="",
-            path=Path(file),
-        )  # fmt: skip
+def recorded(path, runs, sizes=(SAMPLES,), **metadata):
+    """A recording in which profiles ran one after the other: `runs` of the kept samples."""
+    writer = RunWriter(path, {"period_s": str(PERIOD_S), **metadata}, [], 0)
+    for number, size in enumerate(sizes, 1):
+        writer.write_record(RunRecord(0, number, number, RecordKind.PROFILE, ("samples",), (float(size),)), 0)
+    for number, kept in enumerate(runs, 1):
+        rows = rows_of(kept, 0.01)
+        rows["profile_number"] = number
+        rows["deadline_ns"] = 500_000 * np.arange(rows.size)
+        writer.write_rows(rows)
+    return str(writer.close())
 
-    monkeypatch.setattr(evaluate_live, "read_run", recorded)
-    _, evaluations, cautions = evaluate_live.evaluate_recordings(["early", "whole"], None)
-    assert cautions == ["early: it ended after 50 % of its profile."]
+
+def test_a_recording_that_stops_before_its_profile_does_is_named(tmp_path):
+    early = recorded(tmp_path / "early.mcap", [range(SAMPLES // 2)], candidate="early")
+    whole = recorded(tmp_path / "whole.mcap", [range(SAMPLES)], candidate="whole")
+    _, evaluations, cautions = evaluate_live.evaluate_recordings([early, whole], None)
+    assert cautions == ["early.mcap: it ended after 50 % of its profile."]
     assert [e.candidate for e in evaluations] == ["early", "whole"]
+    assert evaluations[1].measures.measured.error.mae == pytest.approx(0.01)
+
+
+def test_a_recording_of_two_profiles_is_refused_and_one_of_which_only_one_ran_is_not(tmp_path):
+    two = recorded(tmp_path / "two.mcap", [range(100), range(100)], (100, 100))
+    with pytest.raises(DocumentError, match=r"two.mcap: contains more than one profile"):
+        evaluate_live.evaluate_recordings([two], None)
+    one = recorded(tmp_path / "one.mcap", [range(SAMPLES)], (SAMPLES, 77))
+    assert evaluate_live.evaluate_recordings([one], None)[2] == []
 
 
 def test_seeds_that_do_not_decide_between_the_best_two_ask_for_more_seeds():

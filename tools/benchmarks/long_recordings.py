@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from common import ROOT, Report, finish, main, parser, shown
 
+from fffo_drive.cli.exits import EXIT_NOT_CONFIRMED
 from fffo_drive.daemon.fleet_records import command as daemon_command
 from fffo_drive.fleet.store import FleetStore
 from fffo_drive.recording.reader import Run, describe, read_run
+from fffo_drive.recording.run_records import RecordKind
 from fffo_drive.recording.writer import RunWriter
 
 NAME = "long_recordings"
@@ -47,6 +49,8 @@ BOUNDS = {
     "replay": Bound(300.0, times_real_time=30.0),
     "evaluate": Bound(300.0, times_real_time=60.0),
     "fleet add": Bound(300.0, times_real_time=60.0),
+    "identify": Bound(1000.0),
+    "diagnose": Bound(1000.0),
 }
 
 
@@ -61,6 +65,16 @@ def words_of(command: str, path: Path, directory: Path) -> list[str]:
         "log export, all": ["log", "export", str(path), "--out", out],
         "log export, 2 s": ["log", "export", str(path), "--out", out, "--from", "1", "--to", "3"],
         "replay": ["replay", str(path)],
+        "identify": ["identify", str(path), "--out", str(directory / "identified")],
+        "diagnose": [
+            "diagnose",
+            "--fit",
+            str(path),
+            "--held-out",
+            str(directory / "base.mcap"),
+            "--out",
+            str(directory / "found"),
+        ],
         "evaluate": ["evaluate", "--runs", str(path), "--out", str(directory / "page")],
     }
     return [sys.executable, "-m", "fffo_drive", *own[command]]
@@ -76,19 +90,26 @@ def recorded(directory: Path, seconds: float) -> Run:
 
 
 def write_long(run: Run, path: Path, seconds: float) -> None:
-    """Its rows for so long."""
+    """Its rows for so long, as of one profile."""
     attachments = [(one.name, one.media_type, one.data) for one in run.attachments.values()]
-    writer = RunWriter(path, dict(run.metadata), attachments, 0)
-    for record in run.records:
-        writer.write_record(record, int(run.rows["deadline_ns"][0]))
-    rows, ticks = run.rows.copy(), int(run.rows["tick"][-1] - run.rows["tick"][0]) + 1
-    travel_rev = float(run.rows["position_rev"][-1] - run.rows["position_rev"][0])
+    rows = run.rows.copy()
+    runs = rows["profile_sample"] >= 0
+    ticks = int(rows["tick"][-1] - rows["tick"][0]) + 1
     period_ns = int(np.median(np.diff(rows["deadline_ns"])))
-    for _ in range(max(1, round(seconds / (ticks * period_ns * 1e-9)))):
+    times = max(1, round(seconds / (ticks * period_ns * 1e-9)))
+    samples = int(rows["profile_sample"].max()) + 1
+    writer = RunWriter(path, {**run.metadata, "profile_samples": str(times * samples)}, attachments, 0)
+    for record in run.records:
+        values = tuple(times * samples if name == "samples" else value for name, value in record.by_name.items())
+        own = record._replace(values=values) if record.kind == RecordKind.PROFILE else record
+        writer.write_record(own, int(rows["deadline_ns"][0]))
+    travel_rev = float(rows["position_rev"][-1] - rows["position_rev"][0])
+    for _ in range(times):
         for begin in range(0, len(rows), WRITE_ROWS):
             writer.write_rows(rows[begin : begin + WRITE_ROWS])
         rows["tick"] += ticks
         rows["row_number"] += len(rows)
+        rows["profile_sample"][runs] += samples
         rows["position_rev"] += travel_rev
         rows["deadline_ns"] += ticks * period_ns
     writer.close({})
@@ -99,7 +120,7 @@ def peak_mb(words: list[str]) -> tuple[float, float, float]:
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
     own_mb = max(_own_mb(process), default=0.0)
     _, status, usage = os.wait4(process.pid, 0)
-    if status:
+    if os.waitstatus_to_exitcode(status) not in (0, EXIT_NOT_CONFIRMED):
         raise RuntimeError(f"{words[-6:]}: exit code {os.waitstatus_to_exitcode(status)}")
     return own_mb, usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime
 

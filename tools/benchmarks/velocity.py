@@ -110,7 +110,7 @@ def run_case(case: Case) -> dict[str, Found]:
         if trip != TRIP_NONE:
             raise RuntimeError(f"{candidate.name}, seed {case.seed}: {TRIP_TEXTS[trip]}")
         trace = trace_of(rows, case.profile.period_s, case.profile.values.size)
-        true = measure(trace, case.yardstick).true
+        true = measure([trace], case.yardstick).true
         assert true is not None
         in_profile = rows[(rows["profile_sample"] >= 0) & (rows["profile_sample"] < case.profile.values.size)]
         found[candidate.name] = Found(

@@ -71,7 +71,7 @@ def run_peers(case: Case, models: Models, mismatch_share: float, sign: float | N
     laws = peers_of(plus, candidate.toggle, design_for(plus), known)
     return [
         evaluation_of(
-            law.name, case.seed, run_law(case.plant, case.device, law, case.profile).trace, case.yardstick,
+            law.name, case.seed, [run_law(case.plant, case.device, law, case.profile).trace], case.yardstick,
             case.cutouts_s,
         )
         for law in laws
