@@ -141,7 +141,10 @@ def fit_records(
         fit = fitted(ladder)
     waves = frozenset(one.candidate.name for one in ladder.accepted if one.candidate.rung == WAVES)
     if waves and fit.apart > LARGEST_APART:
-        bare = fitted(climb(records, start, facts, waves))
+        try:
+            bare = fitted(climb(records, start, facts, waves))
+        except DataError:  # without them it is no axis
+            return fit
         cutoff_hz = min(fit.start.cutoff_hz, bare.start.cutoff_hz)
         return min(fit, bare, key=lambda one: _left_nm(records, one, cutoff_hz))
     return fit

@@ -13,6 +13,7 @@ from shared_data import shared_files
 from fffo_drive.cli import main
 from fffo_drive.identification.dataset import load_records
 from fffo_drive.identification.facts import read_facts
+from fffo_drive.identification.fit import FitSettings, fit_records
 from fffo_drive.identification.ladder import climb
 from fffo_drive.identification.regression import regression_start
 from fffo_drive.model.parameters import read_model
@@ -67,6 +68,16 @@ def test_an_inertia_below_zero_without_the_waves_is_found_beside_them():
     climbed = climb([record], start, facts)
     assert climbed.accepted[0].candidate.order == 72.0
     assert climbed.start.inertia_nm_s2_per_rev == pytest.approx(2.1e-5, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["speed_test1", "speed_test"])
+def test_the_waves_of_the_rows_stay_in_the_fit(name):
+    """In eight seconds the strength of a true wave has few windows: tested over all orders again, true ones went.
+
+    Without the waves the inertia of the second is below zero: there is no such fit to compare with.
+    """
+    fit = fit_records([half(name, second=True)], FitSettings(compare_literal=False), read_facts(FACTS))
+    assert {72, 18, 12} <= {round(effect.values["order"]) for effect in fit.effects}
 
 
 @pytest.mark.slow
