@@ -9,8 +9,8 @@ found, which `fffo-drive adopt` puts in service.
 If the effects found do not lower the error of the held-out runs, no model is written and a DIR/model.yaml of an earlier
 diagnosis is removed.
 
---without excludes parts of the search: laws (cogging), curves over a variable (unknown:velocity) and kinds of curves
-(friction(time)).
+--without excludes parts of the search: laws (cogging), curves over a variable (unknown:velocity), kinds of curves
+(friction(time)) and tables over two variables ('motor_angle x speed').
 
 Exit codes: 0 done, also if no effect was found; 65 the held-out runs confirm none of the effects, no model is written;
 74 disk error; 78 bad input.
@@ -130,8 +130,8 @@ def _require(options: argparse.Namespace, out: Path) -> None:
 
 
 def searched_names() -> list[str]:
-    """Everything that a search can leave out: laws, curves over an axis, kinds of curves."""
-    from ..diagnosis.curves import Curve, axes_of, kind_of_curve
+    """Everything that a search can leave out: laws, curves over an axis, kinds of curves, tables over two axes."""
+    from ..diagnosis.curves import Curve, axes_of, kind_of_curve, pairs_of
     from ..model.effects.laws.lookup import UNKNOWN, WOUND
     from ..model.effects.registry import LAWS
 
@@ -142,7 +142,9 @@ def searched_names() -> list[str]:
               for axis in axes_of(turns)]  # fmt: skip
     shapes.append(("memory", {"kind": WOUND}))
     curves = [Curve(UNKNOWN + word, shape, nothing) for word, shape in shapes]
-    return list(dict.fromkeys([*laws, *(curve.name for curve in curves), *(kind_of_curve(curve) for curve in curves)]))
+    tables = [Curve(UNKNOWN + pair.along.word, pair.shapes, nothing, pair=pair) for pair in pairs_of(turns)]
+    both = [*curves, *tables]
+    return list(dict.fromkeys([*laws, *(curve.name for curve in both), *(kind_of_curve(curve) for curve in both)]))
 
 
 def _print(found: Diagnosis) -> None:
@@ -188,6 +190,9 @@ def curve_words(finding: Finding, words: DiagnosisWords = ROTARY) -> str:
     text, unit = CURVES[curve.kind]
     size = f"{text.format(words.torque, f'{values.min():.3g}', f'{values.max():.3g}')} {words.unit(unit)}".rstrip()
     low, high = (f"{place:.4g}" for place in (curve.knots[0], curve.knots[-1]))
+    if curve.across is not None:
+        reach = f"{curve.levels[0]:.4g} to {curve.levels[-1]:.4g}"
+        return f"a table over {low} to {high} and the {words.axis(curve.across)}, {reach}: {size}"
     if curve.kind == "wound":
         reach_rev = curve.knots[int(np.argmax(np.abs(values)))]
         length = words.unit("rev")

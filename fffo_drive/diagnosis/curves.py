@@ -1,11 +1,12 @@
-"""Non-parametric effects: free curves over one axis, springs along the travel.
+"""Non-parametric effects: free curves over one axis, tables over two axes, springs along the travel.
 
-Each is a curve of the library's `lookup` law, so it is refitted, written to a model file and (over an axis that a
+Each is a table of the library's `lookup` law, so it is refitted, written to a model file and (over an axis that a
 feed-forward knows) compensated like any other effect. Knots are placed where the data are.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -16,10 +17,15 @@ from ..model.effects import slots
 from ..model.effects.laws.lookup import (
     BRAKE,
     FRICTION,
+    KNOTS,
     PLAIN,
     UNKNOWN,
     VISCOUS,
     WOUND,
+    across_axis,
+    across_word,
+    code_of,
+    is_table,
     values_of,
 )
 from ..model.effects.registry import axis_of_effect
@@ -34,6 +40,8 @@ PERIODS = 3.0  # a motion must cover at least so many periods before an angle is
 ANGLES = ("motor_angle", "output_angle")
 SCALELESS = ("dwell", "travel_since_reversal")
 LEAST_REACH_REV = 0.05  # shortest travel that winds up a spring: longer than presliding
+COARSE = 5  # knots on each axis of a coarse table
+LEVEL_SHARES = (0.05, 0.35, 0.65, 0.95)  # a fine table has a level at each of these quantiles of the rows
 INNER = (0.002, 0.998)  # quantiles between which knots are placed
 
 
@@ -46,12 +54,44 @@ class CurveAxis(NamedTuple):
     of_current: float = 0.0  # a memory of the squared current, not of the speed
 
 
+SPEED = CurveAxis("memory", FRICTION, 0.0)  # a memory of zero length
+TABLE_AXES = (  # in each pair the axis with the finer knots is first
+    CurveAxis("motor_angle", PLAIN, 1.0), CurveAxis("output_angle", PLAIN, 0.0), CurveAxis("velocity", PLAIN, 0.0),
+    CurveAxis("travel_since_reversal", FRICTION, 0.0), CurveAxis("time", FRICTION, 0.0),
+    CurveAxis("current", PLAIN, 0.0), CurveAxis("memory", FRICTION, 3.0), CurveAxis("acceleration", PLAIN, 0.0),
+)  # fmt: skip
+OVER_SPEED = ("motor_angle", "output_angle", "travel_since_reversal", "time", "memory")
+
+
+class CurvePair(NamedTuple):
+    """A table over two axes; the first has the finer knots."""
+
+    along: CurveAxis
+    across: CurveAxis
+
+    @property
+    def name(self) -> str:
+        """Name of its residual channel."""
+        drag = " (drag)" if self.along.kind == BRAKE else ""
+        return f"{self.along.word} x {across_word(self.shapes)}{drag}"
+
+    @property
+    def shapes(self) -> dict[str, float]:
+        """The two axes as shapes of the lookup law."""
+        return {
+            "kind": self.along.kind, "scale": self.along.scale,
+            "across": code_of(self.across.word), "across_scale": self.across.scale,
+        }  # fmt: skip
+
+
 class Curve(NamedTuple):
-    """A curve at the rows."""
+    """A curve or a table at the rows; a table with the curves over each of its axes alone."""
 
     name: str  # unknown:AXIS
     shapes: dict[str, float]
     columns: Floats  # (m, k)
+    beside: Floats | None = None  # (m, j) of a table: the curves over its two axes
+    pair: CurvePair | None = None
 
 
 def axes_of(turns: float) -> list[CurveAxis]:
@@ -95,8 +135,59 @@ def _springs(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
         yield Curve(UNKNOWN + "memory", shapes, np.concatenate(parts))
 
 
+def pairs_of(turns: float) -> list[CurvePair]:
+    """All pairs that are searched: torque with velocity as one axis, friction and drag with speed as one axis."""
+    axes = {axis.word: axis for axis in TABLE_AXES if axis.word != "motor_angle" or turns > PERIODS}
+    found = [_pair(first, second) for first, second in itertools.combinations(axes.values(), 2)]
+    found += [CurvePair(axes[word]._replace(kind=FRICTION), SPEED) for word in OVER_SPEED if word in axes]
+    return found + [CurvePair(axes[word]._replace(kind=BRAKE), SPEED) for word in ANGLES if word in axes]
+
+
+def _pair(first: CurveAxis, second: CurveAxis) -> CurvePair:
+    frictional = FRICTION in (first.kind, second.kind) and "velocity" not in (first.word, second.word)
+    return CurvePair(first._replace(kind=FRICTION if frictional else PLAIN), second)
+
+
+def coarse_tables(rows: DiagnosisRows, scenes: Sequence[Scene]) -> Iterator[Curve]:
+    """A coarse table over every pair that the data cover."""
+    hat: dict[tuple[str, float], Floats | None] = {}
+    for pair in pairs_of(rows.turns):
+        for axis in pair:
+            if (axis.word, axis.scale) not in hat:
+                at = rows.joined(abscissa(scenes, axis))
+                knots = np.unique(np.quantile(at[rows.kept], np.linspace(0.01, 0.99, COARSE)))
+                hat[axis.word, axis.scale] = (
+                    linear_basis(np.clip(at, knots[0], knots[-1]), knots) if knots.size >= 3 else None
+                )
+        first, second = (hat[axis.word, axis.scale] for axis in pair)
+        if first is not None and second is not None:
+            weight = rows.joined(factor(scene, pair.along.kind) for scene in scenes)[:, None]
+            table = (first[:, :, None] * second[:, None, :]).reshape(first.shape[0], -1)
+            beside = np.concatenate([first, second], axis=1)
+            yield Curve(UNKNOWN + pair.along.word, pair.shapes, table * weight, beside * weight, pair)
+
+
+def fine_table(rows: DiagnosisRows, scenes: Sequence[Scene], pair: CurvePair) -> Curve | None:
+    """A fine table over a pair, as the lookup law stores it."""
+    places = [abscissa(scenes, axis) for axis in pair]
+    knots = knots_of(_moving(scenes, places[0]), pair.along)
+    if knots.size > KNOTS:
+        knots = knots[np.unique(np.rint(np.linspace(0, knots.size - 1, KNOTS)).astype(int))]
+    levels = np.unique(np.quantile(_moving(scenes, places[1]), LEVEL_SHARES))
+    if knots.size < 4 or levels.size < 2:
+        return None
+    name = UNKNOWN + pair.along.word
+    shapes = {**pair.shapes, "count": float(knots.size), "levels": float(levels.size)}
+    shapes |= {f"x{k:02d}": float(x) for k, x in enumerate(knots)}
+    shapes |= {f"z{k:02d}": float(z) for k, z in enumerate(levels)}
+    parts = [curve_columns(scene, name, shapes, rows.laws) for scene in scenes]
+    return Curve(name, shapes, np.concatenate(parts), pair=pair)
+
+
 def kind_of_curve(curve: Curve) -> str:
-    """Name by which `without` leaves out a kind: `kind(axis)`."""
+    """Name by which `without` leaves out a kind: the channel of a table, `kind(axis)` of a curve."""
+    if curve.pair is not None:
+        return curve.pair.name
     kinds = {PLAIN: "torque", FRICTION: "friction", VISCOUS: "viscous", WOUND: "wound", BRAKE: "drag"}
     current = ", current" if curve.shapes.get("of_current", 0.0) else ""
     turns = curve.shapes.get("scale", 0.0)
@@ -134,15 +225,26 @@ def knots_of(places: Floats, axis: CurveAxis) -> Floats:
     return np.array(distinct)
 
 
+def axes_of_curve(name: str, shapes: Mapping[str, float]) -> list[tuple[CurveAxis, Floats]]:
+    """The axes of a curve or table, with the knots on each."""
+    knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
+    own = CurveAxis(axis_of_effect(name), shapes["kind"], shapes.get("scale", 0.0), shapes.get("of_current", 0.0))
+    found = [(own, knots)]
+    if is_table(shapes):
+        levels = np.array([shapes[f"z{k:02d}"] for k in range(int(shapes["levels"]))])
+        found.append((CurveAxis(across_axis(shapes), PLAIN, shapes["across_scale"]), levels))
+    return found
+
+
 def curve_columns(scene: Scene, name: str, shapes: Mapping[str, float], filter_: Filter) -> Floats:
-    """Torque per unit of each value of a curve, at the rows of a scene. (m, values)"""
+    """Torque per unit of each value of a curve or table, at the rows of a scene. (m, values)"""
     if shapes["kind"] == WOUND:  # each spring has a state of its own
         units = (load_along(scene, name, {**shapes, f"y{k:02d}": 1.0}) for k in range(values_of(shapes)))
         return np.stack([filter_.rows(unit) for unit in units], axis=1)
-    axis = CurveAxis(axis_of_effect(name), shapes["kind"], shapes.get("scale", 0.0), shapes.get("of_current", 0.0))
-    knots = np.array([shapes[f"x{k:02d}"] for k in range(int(shapes["count"]))])
-    basis = linear_basis(abscissa([scene], axis)[0], knots) * factor(scene, shapes["kind"])[:, None]
-    return np.stack([filter_.rows(column) for column in basis.T], axis=1)
+    weight = factor(scene, shapes["kind"])
+    first, *second = (linear_basis(abscissa([scene], axis)[0], knots).T for axis, knots in axes_of_curve(name, shapes))
+    levels = [weight] if not second else [hat * weight for hat in second[0]]
+    return np.stack([filter_.rows(hat * level) for level in levels for hat in first], axis=1)
 
 
 def linear_basis(places: Floats, knots: Floats) -> Floats:

@@ -22,10 +22,10 @@ from ..identification.population import AgainstPopulation
 from ..identification.ranking import ranked
 from ..identification.regression import regression_start
 from ..identification.runs import RunsLook, look_at_runs
-from ..model.effects.laws.lookup import PLAIN, UNKNOWN, VISCOUS
+from ..model.effects.laws.lookup import PLAIN, UNKNOWN, VISCOUS, across_word
 from ..model.effects.registry import LAWS, axis_of_effect, is_compensable, law_of
 from ..model.parameters import FrictionModel, ModelFile, Provenance, Quantity, effect_model
-from ..units import inertia_kg_m2, inertia_nm_s2_per_rev
+from ..units import axis_word_on, inertia_kg_m2, inertia_nm_s2_per_rev
 from .base import BASE, NAMES, population_prior
 from .channels import channels
 from .fitting import Data, Fitted, consistent_scenes, jacobian, slots_of, standard_deviations
@@ -399,6 +399,10 @@ def _finding(
         f"{note.gain.value:.0f} nats (sd {note.gain.sd:.0f}) on rows outside the fit; the same search would find as "
         f"much in noise and an effect of {100.0 * NEGLIGIBLE:g} % of the torque with probability {note.p:.2g}"
     )
+    across = across_word(effect.shapes)
+    if across:
+        both = (axis_word_on(word, facts.units == "linear") for word in (axis_of_effect(effect.name), across))
+        reason += f"; a table over {' and '.join(both)}"
     if unseen is not None and not unseen[0] > 0.0:
         reason += "; it does not lower the error on the held-out runs"
     elif proof is not None and before is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -10,14 +11,14 @@ import numpy.typing as npt
 
 from ..arrays import Floats, Integers
 from ..identification.criterion import clipped
-from ..model.effects.laws.lookup import WOUND
+from ..model.effects.laws.lookup import PLAIN, WOUND, across_axis, across_word
 from ..model.effects.registry import axis_of_effect, law_of
 from ..units import NORMAL_95
 from .curves import ANGLES, CurveAxis, abscissa
 from .fitting import Data, Fitted, consistent_scenes
 from .results import Ceiling, FoundCurve, Picture, RunFigure
 from .rows import DiagnosisRows, DiagnosisStretch
-from .scenes import Scene, load_rows
+from .scenes import Effect, Scene, load_rows
 
 BINS = 32
 LEAST_ROWS = 8  # fewest rows in a bin that is shown
@@ -64,16 +65,20 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
     load, left = load * sense, fitted.residual_nm * sense
     before = left + load
     edges = bin_edges(place.values[kept])
-    bins = np.clip(np.searchsorted(edges, place.values[kept], side="right") - 1, 0, edges.size - 2)
-    window = data.rows.folds.window[kept]
-    shown = shown_bins(bins, window, edges.size - 1)
-    x = binned(place.values[kept], bins, edges.size - 1)[shown]
     curves: list[FoundCurve] = []
-    for label, values in (("without the effect", before), ("with it", left)):
-        mean, reach = interval(values[kept], bins, window, edges.size - 1)
-        curves.append(FoundCurve(label, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points"))
-    says = binned(load[kept], bins, edges.size - 1)[shown]
-    curves.append(FoundCurve("torque of the effect", x, says, kind="line"))
+    for where, rows in _shares(scenes, effect, load, kept, data.rows.laws.step):
+        bins = np.clip(np.searchsorted(edges, place.values[rows], side="right") - 1, 0, edges.size - 2)
+        window = data.rows.folds.window[rows]
+        shown = shown_bins(bins, window, edges.size - 1)
+        x = binned(place.values[rows], bins, edges.size - 1)[shown]
+        clouds = [("without the effect", before), ("with it", left)][: 1 if where else 2]
+        for label, values in clouds:
+            mean, reach = interval(values[rows], bins, window, edges.size - 1)
+            curves.append(
+                FoundCurve(label + where, x, mean[shown], (mean - reach)[shown], (mean + reach)[shown], "points")
+            )
+        says = binned(load[rows], bins, edges.size - 1)[shown]
+        curves.append(FoundCurve("torque of the effect" + where, x, says, kind="line"))
     return Picture(
         title=f"{law.plain_name}, over {place.label}".capitalize(),
         x_label=place.label,
@@ -84,6 +89,27 @@ def picture(data: Data, fitted: Fitted, number: int) -> Picture:
         note="Fit runs together; intervals from the means of half-second windows."
         + (" Positive against the motion." if turned else ""),
     )
+
+
+def _shares(
+    scenes: Sequence[Scene], effect: Effect, load_nm: Floats, kept: Integers, step: int
+) -> list[tuple[str, Integers]]:
+    """Rows shown together: all for a curve; for a table those near its two most different levels."""
+    word = across_word(effect.shapes)
+    if not word:
+        return [("", kept)]
+    across = CurveAxis(across_axis(effect.shapes), PLAIN, effect.shapes["across_scale"])
+    at = np.concatenate([part[::step] for part in abscissa(scenes, across)])[kept]
+    levels = np.array([effect.shapes[f"z{k:02d}"] for k in range(int(effect.shapes["levels"]))])
+    nearest = np.argmin(np.abs(at[:, None] - levels), axis=1)
+    rows = [kept[nearest == k] for k in range(levels.size)]
+    looks = [
+        np.array([load_nm[own].mean(), load_nm[own].std()]) if own.size >= LEAST_ROWS else np.zeros(2) for own in rows
+    ]
+    pairs = itertools.combinations(range(levels.size), 2)
+    chosen = max(pairs, key=lambda pair: float(np.abs(looks[pair[0]] - looks[pair[1]]).sum()))
+    unit = UNITS["velocity" if word == "speed" else word][1]
+    return [(f", {word.replace('_', ' ')} near {levels[k]:.3g} {unit}", rows[k]) for k in chosen]
 
 
 def _place(data: Data, scenes: Sequence[Scene], name: str, shapes: dict[str, float]) -> _Place:

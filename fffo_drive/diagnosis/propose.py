@@ -16,6 +16,7 @@ from ..arrays import Floats
 from ..identification.criterion import DISTINCT, Folds, clipped, sandwich_p
 from ..identification.facts import DriveFacts
 from ..identification.ladder import HIGHEST_ORDER, SLOW_QUANTILE
+from ..identification.ranking import ranked
 from ..identification.threads import in_threads
 from ..least_squares import spectrum, sums_by
 from ..model.effects import slots
@@ -23,7 +24,7 @@ from ..model.effects.law import SearchContext, Shape
 from ..model.effects.registry import LAWS, law_of
 from ..units import MAD_TO_SD
 from .base import NAMES
-from .curves import Curve, curves, kind_of_curve
+from .curves import Curve, CurvePair, coarse_tables, curves, fine_table, kind_of_curve
 from .fitting import Data, Fitted, consistent_scenes
 from .scenes import Columns, Effect, Factors, Scene, effect_of, strength_columns, with_datum
 from .spectra import HIGHEST_ORDER as TURN_ORDER
@@ -32,7 +33,7 @@ from .spectra import frequency_peaks, order_peaks, slow_orders
 LONG_WAVES = 64  # half periods of a linear travel that are tried as waves
 PEAKS = 4  # lines of each spectrum that become shapes
 COLLINEAR = 1e-8  # eigenvalue relative to the largest, below which columns of one candidate count as dependent
-WAVE_RUNG, LAW_RUNG = 2, 3  # waves at the machine's orders; all laws and curves
+WAVE_RUNG, LAW_RUNG, TABLE_RUNG = 2, 3, 4  # waves at the machine's orders; all laws and curves; tables over two axes
 SHAPES_AT_ONCE = 16  # shapes per matrix product
 INSIDE_SHARE = 0.2  # largest share of the motion inside a dead zone, where the residual would explain itself
 
@@ -148,6 +149,13 @@ def quick_score(evidence: Evidence, white: Floats) -> Score:
     return scores(evidence, white, [white.shape[1]])[0]
 
 
+def beside(evidence: Evidence, white: Floats) -> Evidence:
+    """The evidence with white columns (q, j) projected out as well."""
+    more = orthonormal(white - evidence.basis @ (evidence.basis.T @ white))
+    left = evidence.residual - more @ (more.T @ evidence.residual)
+    return evidence._replace(residual=left, basis=np.concatenate([evidence.basis, more], axis=1))
+
+
 class Search:
     """All candidates of one data set, round by round; what does not depend on the model is computed once."""
 
@@ -159,10 +167,13 @@ class Search:
     def proposals(
         self, data: Data, fitted: Fitted, evidence: Evidence, rung: int, names: frozenset[str] | None = None
     ) -> list[Proposal]:
-        """The best shape of every law up to a rung; on the last rung all curves as well, or those of `names`."""
+        """The best shape of every law up to a rung, and all curves, or those of `names`; on the last rung tables."""
         scenes = consistent_scenes(data, fitted.physical, fitted.effects)
-        chosen = self._laws(data, fitted, evidence, scenes, rung)
-        chosen += self._curves(data, evidence, scenes, names) if rung == LAW_RUNG else []
+        if rung == TABLE_RUNG:
+            chosen = self._tables(data, evidence, scenes)
+        else:
+            chosen = self._laws(data, fitted, evidence, scenes, rung)
+            chosen += self._curves(data, evidence, scenes, names) if rung == LAW_RUNG else []
         # only the best candidate needs a p-value
         return [found._replace(score=score(evidence, data.white(found.columns))) for found in chosen]
 
@@ -236,6 +247,20 @@ class Search:
         self.tried += len(found)
         return [one for one in found if one.score.rank]
 
+    def _tables(self, data: Data, evidence: Evidence, scenes: Sequence[Scene]) -> list[Proposal]:
+        """Fine tables over the pairs whose coarse tables explain most beyond the two single-axis curves."""
+        coarse = filter(self._wanted, coarse_tables(data.rows, scenes))
+        pairs = list(in_threads(lambda one: _beyond(data, evidence, one), coarse))
+        best = [pair for pair, _ in ranked(pairs, key=lambda item: -item[1])[:TABLES]]
+
+        def proposed(pair: CurvePair) -> Proposal | None:
+            fine = fine_table(data.rows, scenes, pair)
+            return None if fine is None else self._of_curve(data, evidence, fine)
+
+        found = filter(None, in_threads(proposed, best))
+        self.tried += len(pairs)
+        return [one for one in found if one.score.rank]
+
     def _wanted(self, curve: Curve) -> bool:
         return "curves" not in self.ablate and not {curve.name, kind_of_curve(curve)} & self.without
 
@@ -244,6 +269,16 @@ class Search:
         columns = Columns(names, (-1,) * len(names), curve.columns)
         scored = quick_score(evidence, data.white(columns.values))
         return proposal(data, curve.name, kind_of_curve(curve), curve.shapes, columns, scored)
+
+
+def _beyond(data: Data, evidence: Evidence, curve: Curve) -> tuple[CurvePair, float]:
+    """The axis curves of a coarse table, and what it explains beyond them."""
+    assert curve.beside is not None
+    assert curve.pair is not None
+    return curve.pair, quick_score(beside(evidence, data.white(curve.beside)), data.white(curve.columns)).explained
+
+
+TABLES = 3  # pairs of axes that get a fine table
 
 
 def proposal(data: Data, name: str, kind: str, shape: Shape, columns: Columns, scored: Score) -> Proposal:

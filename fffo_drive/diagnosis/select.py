@@ -42,7 +42,7 @@ from .fitting import (
     share_gone,
 )
 from .gates import ReferenceAxis, implausibility, objection
-from .propose import LAW_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
+from .propose import LAW_RUNG, TABLE_RUNG, WAVE_RUNG, Evidence, Proposal, Search, evidence_of, quick_score, score
 from .scenes import Effect
 from .scored import (
     LADDER_ITERATIONS,
@@ -171,17 +171,18 @@ class Selector:
         self.ladder = FirstRungs(data, scored, tuple(accepted))
         reference = ReferenceAxis.of(data, scored.fitted, scored.matrix)
         self.reference = reference.beside(climbed.start.inertia_nm_s2_per_rev)
-        data, scored, accepted = self._climbed(whole, data, scored, accepted)
+        for rung in (LAW_RUNG, TABLE_RUNG):
+            data, scored, accepted = self._climbed(whole, data, scored, accepted, rung)
         return self._finished(whole, *self._pruned(data, scored, accepted, refit=True))
 
     def _climbed(
-        self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted], curves: Names = None
+        self, whole: Data, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
     ) -> State:
-        """Add effects until none remains; of free curves those of these names (None: all)."""
+        """Add effects of one rung until none remains."""
         while len(accepted) < MOST_EFFECTS:
-            self.share = max(self.share, (len(accepted) + 1) / (MOST_EFFECTS + 1))
+            self.share = max(self.share, (len(accepted) + rung / 5.0) / (MOST_EFFECTS + 1.0))
             self.progress(self.share, "search")
-            found = self._round(data, scored, accepted, curves)
+            found = self._round(data, scored, accepted, rung, curves)
             if found is None:
                 break
             accepted = found[2]
@@ -194,7 +195,7 @@ class Selector:
         data, scored, accepted = self._replaced_curves(data, scored, accepted)
         if accepted is not curves:
             names = frozenset(note.name for note in curves if note.name.startswith(UNKNOWN))
-            data, scored, accepted = self._climbed(whole, data, scored, accepted, names)
+            data, scored, accepted = self._climbed(whole, data, scored, accepted, LAW_RUNG, names)
         for k, note in enumerate(accepted):  # a law that is needed even beside a curve over its own axis
             if _set_aside(scored, k) != (containing := _set_aside(scored, k, True)):
                 accepted[k] = self._judged(data, scored, k, note, True, containing)
@@ -231,12 +232,14 @@ class Selector:
             return data, scored
         return settled(freed, found.fitted)
 
-    def _round(self, data: Data, scored: ScoredFit, accepted: list[Accepted], curves: Names = None) -> State | None:
-        """Add one effect, of free curves one of these names (None: all); None where none remains."""
+    def _round(
+        self, data: Data, scored: ScoredFit, accepted: list[Accepted], rung: int, curves: Names = None
+    ) -> State | None:
+        """Add one effect, of free curves one of these names (None: all); None where none remains on this rung."""
         evidence = self._evidence(data, scored.fitted, scored.matrix)
-        proposals = self.search.proposals(data, scored.fitted, evidence, LAW_RUNG, curves)
+        proposals = self.search.proposals(data, scored.fitted, evidence, rung, curves)
         tried = self.search.tried
-        if not self.first:
+        if rung == LAW_RUNG and not self.first:
             self.first = tuple(one.without_columns for one in ranked(proposals, key=lambda one: -one.worth))
             self.first_p = min([1.0, *(one.score.p * tried for one in proposals)])
         laws, free = self._contenders(data, scored, evidence, proposals, tried)
@@ -244,7 +247,7 @@ class Selector:
         believed = self._believed(data, scored, evidence, laws, tried)
         free = _beyond_laws(scored, believed, free, evidence.folds)[:CURVES_REFITTED]
         believed += self._believed(data, scored, evidence, free, tried)
-        if self._contradicted(data, scored, evidence, believed):
+        if rung == LAW_RUNG and self._contradicted(data, scored, evidence, believed):
             return None
         if not believed:
             return None
@@ -269,7 +272,7 @@ class Selector:
             self.refused[chosen[0].name] = Refused(
                 chosen[0].name, reason, share_gone(scored.fitted, chosen[1].fitted), note.p
             )
-            return self._round(data, scored, accepted, curves)
+            return self._round(data, scored, accepted, rung, curves)
         state = tuple(sorted((e.name, *(f"{v:.2g}" for v in e.shapes.values())) for e in found[1].fitted.effects))
         if state in self.visited:  # a cycle: adding one effect removes another, and the reverse
             return None
@@ -295,7 +298,7 @@ class Selector:
             ratios, self.visited = self.inertia_ratios, {()}
             laws = (data, scored_fit(data, bare), [accepted[k] for k in others])
             while len(laws[2]) < min(MOST_EFFECTS, len(others) + LAWS_FOR_CURVE * len(names)):
-                more = self._round(*laws, frozenset())
+                more = self._round(*laws, LAW_RUNG, frozenset())
                 if more is None:
                     break
                 laws = more
@@ -360,7 +363,6 @@ class Selector:
         self, data: Data, scored: ScoredFit, evidence: Evidence, contenders: Sequence[Contender], tried: int
     ) -> list[tuple[Proposal, ScoredFit, Gain]]:
         """Contenders beyond chance, at the latest when refitted with everything, with enough gain and no objection."""
-
         both = "two_starts" not in self.ablate
 
         def refit(one: Contender) -> ScoredFit:

@@ -271,7 +271,7 @@ def diagnosis() -> Figure:
     figure, axes = _canvas(11.0, 5.2)
     upper = (
         ("runs to fit", QUIET), ("1 runs agree?\nJ, Fc, σ of each", BLUE), ("2 ladder: constants,\nweight, friction", BLUE),  # noqa: E501
-        ("2 waves, then laws\nand free curves", BLUE),
+        ("2 waves, then laws,\ncurves, tables", BLUE),
     )  # fmt: skip
     for index, (text, colour) in enumerate(upper):
         _box(axes, (0.1 + 2.8 * index, 3.9), (2.3, 1.0), text, colour)

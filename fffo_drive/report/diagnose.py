@@ -20,7 +20,7 @@ from ..identification.runs import Estimate, RunsLook
 from ..model.parameters import ModelFile
 from ..symbols import FRICTION, SYMBOLS
 from ..units import NORMAL_95, inertia_kg_m2
-from .diagnose_figures import DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
+from .diagnose_figures import PAIR, DiagnosisWords, channel_figure, effect_figures, run_figures, words_of
 from .diagnose_verdict import diagnosis_verdict, lead_first, names_of
 from .document import (
     Cell,
@@ -41,6 +41,7 @@ from .population import DASH, population_table
 KIND = "diagnose"
 WIDEST = 1e3  # half an interval over its value; beyond this the data do not determine the parameter
 SHOWN_RIVALS = 4
+SHOWN_PAIRS = 6
 SHOWN_REJECTED = 15
 LISTING_WIDTH = 110
 NOT_FINITE = Cell(text="not finite")
@@ -158,7 +159,7 @@ def _found(name: str, title: str, note: str, accepted: Sequence[Finding], words:
                 number(finding.strength_percent),
                 number(finding.false_alarm_probability, 2),
                 Cell(text=", ".join(finding.alternatives) or ("its name is in doubt" if finding.doubt else "–")),
-                Cell(text=words.axis(finding.axis)),
+                Cell(text=words.axis(_axes(finding))),
                 Cell(text="compensates it" if finding.compensable else "cannot"),
             ],
         )
@@ -231,6 +232,12 @@ def _before_after(diagnosis: Diagnosis, accepted: Sequence[Finding], words: Diag
     return Table(name="errors", title="Error before and after", note=note, corner="Where", columns=columns, rows=rows)
 
 
+def _axes(finding: Finding) -> str:
+    """The axis of a finding, or both axes of a table."""
+    across = finding.curve.across if finding.curve is not None else None
+    return finding.axis if across is None else f"{finding.axis} x {across}"
+
+
 def _parameters(accepted: Sequence[Finding], words: DiagnosisWords) -> Table:
     rows = []
     for finding in accepted:
@@ -270,6 +277,9 @@ def _rivals(accepted: Sequence[Finding]) -> Table:
 
 
 def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
+    single = [channel for channel in diagnosis.channels if PAIR not in channel.name]
+    pairs = [channel for channel in diagnosis.channels if PAIR in channel.name]
+    pairs.sort(key=lambda channel: -max(channel.explained_before, channel.explained_after))
     columns = [
         Heading(label="explained", unit="%", group="before"),
         Heading(label="beyond chance", words=True, group="before"),
@@ -288,9 +298,13 @@ def _channels(diagnosis: Diagnosis, words: DiagnosisWords) -> Table:
                 count(channel.samples),
             ],
         )
-        for channel in diagnosis.channels
+        for channel in [*single, *pairs[:SHOWN_PAIRS]]
     ]
     note = "Share of the squared residual that a free curve over one axis, or the mean after an event, explains."
+    if pairs:
+        note += (
+            f" Of {len(pairs)} pairs of axes, the strongest, in addition to their single curves; report.json has all."
+        )
     return Table(
         name="channels", title="What the residual depends on", note=note, corner="Axis", columns=columns, rows=rows
     )

@@ -13,6 +13,7 @@ from ..units import axis_word_on, name_on, text_on, unit_on
 from .figures import TIME, Dash, Figure, Group, LevelLine, PlotAxis, Series, Uniform, grouped_bars
 
 SHOWN_CHANNELS = 12
+PAIR = " x "  # in the name of a channel over two axes
 SHORT = {"travel_since_reversal": "travel", "motor_angle": "motor", "output_angle": "output", "acceleration": "accel."}
 BEFORE, AFTER, LAW = "grey", "blue", "orange"
 POINTS = (BEFORE, AFTER, "green", "purple")
@@ -44,8 +45,8 @@ class DiagnosisWords(NamedTuple):
         return text_on(rotary, self.linear)
 
     def axis(self, word: str) -> str:
-        """An axis of a finding, as people read it."""
-        return axis_word_on(word, self.linear)
+        """An axis of a finding, or both of a table, as people read it."""
+        return PAIR.join(axis_word_on(one, self.linear) for one in word.split(PAIR))
 
     def unit_of(self, quantity: str) -> str:
         """Unit of an error in this quantity."""
@@ -145,8 +146,9 @@ def _envelope(name: str, time_s: Floats, low: Floats, high: Floats, colour: str)
 
 
 def channel_figure(channels: Sequence[ResidualChannel], words: DiagnosisWords) -> Figure | None:
-    """Share of the residual that a free curve over each axis explains, before and after."""
-    shown = sorted(channels, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
+    """Share of the residual that a free curve over each axis explains, before and after; pairs are in the table."""
+    single = [channel for channel in channels if PAIR not in channel.name]
+    shown = sorted(single, key=lambda c: -c.explained_before)[:SHOWN_CHANNELS]
     if not shown:
         return None
     groups = {

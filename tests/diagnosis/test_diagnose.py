@@ -468,3 +468,4 @@ def test_a_residual_over_one_axis_is_seen_there_and_gone_with_its_effect():
     assert lives["velocity"].explained_before > 0.5
     assert lives["velocity"].explained_after < 0.2
     assert {"time", "motor_angle", "travel_since_reversal"} <= set(lives)
+    assert any(" x " in name for name in lives)

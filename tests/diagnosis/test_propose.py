@@ -10,8 +10,11 @@ from fffo_drive.diagnosis.base import BASE
 from fffo_drive.diagnosis.fitting import consistent_scenes, jacobian
 from fffo_drive.diagnosis.propose import (
     LAW_RUNG,
+    TABLE_RUNG,
+    TABLES,
     WAVE_RUNG,
     Search,
+    beside,
     evidence_of,
     machine_orders,
     orthonormal,
@@ -181,6 +184,12 @@ def test_curves_are_a_rung_of_their_own_and_count_among_what_was_tried():
     search, _ = proposed(laws, ablate=NONE)
     curves = search.tried
     assert curves > 30
+    search, found = proposed(laws, TABLE_RUNG, ablate=NONE)
+    assert search.tried > 20
+    tables = [one.kind for one in found if " x " in one.kind]
+    assert 0 < len(tables) <= TABLES
+    _, fewer = proposed(laws | {tables[0]}, TABLE_RUNG, ablate=NONE)
+    assert tables[0] not in {one.kind for one in fewer}
 
 
 def test_the_orders_that_the_machine_s_design_gives():
@@ -223,6 +232,15 @@ def test_a_datum_per_run_is_tried_where_the_angle_is_not_absolute():
         _, found = proposed(laws, facts=facts, ablate=ablate)
         assert sum(bool(one.effect.per_run) for one in found) == wanted
         assert len(found) == 1 + wanted
+
+
+def test_a_table_counts_by_what_its_axes_do_not_say_one_by_one():
+    data, base, matrix, _ = axis()
+    first = np.tanh(data.rows.velocity_rps)
+    second = np.sin(data.rows.time_s)
+    evidence = evidence_of(data, left(data, base, 2e-3 * first + 2e-3 * second), matrix)
+    table = data.white(np.stack([first, second, first * second], axis=1))
+    assert score(evidence, table).explained > 10.0 * score(beside(evidence, table[:, :2]), table).explained
 
 
 def test_gravity_is_none_of_a_linear_axis():

@@ -288,7 +288,7 @@ def round_of(monkeypatch):
         monkeypatch.setattr(search, "_pruned", lambda d, s, accepted: (d, s, accepted))
         monkeypatch.setattr(select, "objection", lambda *a: "")
         monkeypatch.setattr(select, "renewed", lambda d, f: (d, next(m for _, m, _ in items if m.fitted is f)))
-        result = search._round(data, scored, [])
+        result = search._round(data, scored, [], LAW_RUNG)
         return None if result is None else (result[2][0].name, result[2][0].family, result[2][0].rivals)
 
     return choose

@@ -115,7 +115,7 @@ def test_a_held_out_error_that_rose_is_a_caution(command, capsys):
 
 
 def test_the_settings_of_the_search_are_given_on(command):
-    names = ("cogging", "friction(time)", "unknown:motor_angle")
+    names = ("cogging", "friction(time)", "motor_angle x speed")
     _, settings = command(diagnosis(), "--alpha", "0.05", "--without", *names)
     assert settings.false_alarm_rate == 0.05
     assert settings.without == set(names)
@@ -129,6 +129,7 @@ def test_the_settings_of_the_search_are_given_on(command):
         (("--without", "coging"), "did you mean 'cogging'?"),
         (("--without", "friction(tim)"), "did you mean 'friction(time)'?"),
         (("--without", "unknown:velocty"), "did you mean 'unknown:velocity'?"),
+        (("--without", "motor_angle x sped"), "did you mean 'motor_angle x speed'?"),
         (("--alpha", "0"), "--alpha: 0 is not a probability"),
         (("--alpha", "nan"), "--alpha: nan is not a probability"),
     ],
@@ -142,7 +143,7 @@ def test_what_is_not_searched_or_no_probability_is_refused(command, capsys, word
 def test_every_axis_of_the_search_can_be_left_out():
     names = searched_names()
     assert {f"unknown:{axis.word}" for axis in axes_of(100.0)} <= set(names)
-    assert {"torque_offset", "wound(memory)", "drag(motor_angle)"} <= set(names)
+    assert {"torque_offset", "wound(memory)", "motor_angle x velocity"} <= set(names)
     assert len(set(names)) == len(names)
 
 

@@ -235,6 +235,15 @@ def test_nothing_found_is_a_page_too():
     assert "Nothing is missing." in render_page(report)
 
 
+def test_of_the_pairs_of_axes_the_strongest_are_shown():
+    one = ResidualChannel("velocity", 0.6, 0.02, True, False, 1000)
+    pairs = tuple(ResidualChannel(f"time x axis {k}", 0.01 * k, 0.0, False, False, 1000) for k in range(20))
+    report = diagnosis_report(SOURCE, diagnosis(channels=(one, *pairs)))
+    table = next(table for table in report.tables if table.name == "channels")
+    assert [row.label for row in table.rows] == ["velocity", *(f"time x axis {k}" for k in range(19, 13, -1))]
+    assert "Of 20 pairs" in table.note
+
+
 def test_without_held_out_runs_and_with_something_unexplained_it_is_said():
     open_ = diagnosis(verdict="unexplained", before=None, after=None, held_out_names=(), findings=())
     report = diagnosis_report(SOURCE, open_)
@@ -252,6 +261,17 @@ def test_a_free_curve_is_reported_by_its_range_and_not_knot_by_knot():
     memory = finding(name="unknown:memory", parameters=tuple(Number(k, v, None, "") for k, v in springs.items()))
     words = "springs along the travel that slip and then pull with -0.001 to 0.004 Nm, after 0.1 to 2.5 rev"
     assert curve_words(memory) == f"{words}; strongest after 2.5 rev"
+    more = {"across": 11.0, "across_scale": 0.0, "levels": 2.0, "z00": 0.1, "z01": 4.0, "y02": 0.0, "y03": 0.002}
+    numbers = tuple(Number(k, v, None, "") for k, v in {**knots, **more, "kind": 1.0}.items())
+    table = finding(name="unknown:motor_angle", parameters=numbers)
+    words = "a table over -2 to 3 and the speed, 0.1 to 4: friction from -0.001 to 0.004 Nm"
+    assert curve_words(table) == words
+    curve = report_object(diagnosis(findings=(table,)))["effects"][0]
+    assert (curve["parameters"], curve["sd"]) == ({}, {})
+    assert (curve["curve"]["across"], curve["curve"]["levels"]) == ("speed", [0.1, 4.0])
+    assert curve["curve"]["values"] == [[-0.001, 0.004], [0.0, 0.002]]
+    page = render_page(diagnosis_report(SOURCE, diagnosis(findings=(table,))))
+    assert "motor angle x speed" in page
 
 
 REST = Rest(0.004, 0.002, 0.4, ("travel_since_reversal", "time"), "75 % could be explained and is not")

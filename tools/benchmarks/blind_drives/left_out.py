@@ -16,20 +16,24 @@ from engine import claimed, first_names, residual_is_reported
 from .score import wilson
 
 # Everything that shows the kind directly, by the names of the search: a word removes every curve over that axis,
-# "drag(...)" and the like one sort of it. But for presliding, sgn(w) cos(output angle) is a law of the
+# "drag(...)" and the like one sort of it, "x" a table. But for presliding, sgn(w) cos(output angle) is a law of the
 # library, which goes too.
 SERVED_BY: dict[str, frozenset[str]] = {
     "odd_speed_band": frozenset({"unknown:velocity"}),
-    "odd_direction_angle": frozenset({"unknown:output_angle", "position_dependent_friction"}),
+    "odd_direction_angle": frozenset({
+        "unknown:output_angle", "output_angle x velocity", "output_angle x speed (drag)", "position_dependent_friction",
+    }),
     "odd_fatigue": frozenset({"unknown:memory"}),
-    "odd_stick_patch": frozenset({"unknown:motor_angle"}),
+    "odd_stick_patch": frozenset({
+        "unknown:motor_angle", "motor_angle x velocity", "motor_angle x speed", "motor_angle x speed (drag)",
+    }),
     "odd_current_heating": frozenset({"unknown:memory"}),
-    "odd_two_levels": frozenset({"unknown:memory"}),
+    "odd_two_levels": frozenset({"unknown:memory", "velocity x memory", "memory x speed"}),
     "odd_alternate_turns": frozenset({"unknown:motor_angle"}),
-    "odd_eddy_brake": frozenset({"unknown:current", "unknown:torque"}),
-    "odd_late_kick": frozenset({"unknown:travel_since_reversal"}),
+    "odd_eddy_brake": frozenset({"unknown:current", "unknown:torque", "velocity x current"}),
+    "odd_late_kick": frozenset({"unknown:travel_since_reversal", "travel_since_reversal x speed"}),
     "odd_cable": frozenset({"unknown:memory"}),
-}
+}  # fmt: skip
 MOST_WRONG = 0.05
 PERIOD_ERROR = 0.01  # largest error of a period that describes the effect, relative
 ANGLE = {"output_angle": "motor_angle"}  # a place of every motor turn is one of the output too
