@@ -57,9 +57,20 @@ def own_margins(axis: AxisFile, model: ModelFile, law: ControlLaw, speed_rps: fl
     """Margins of a user's law on the axis of this file, at one speed. It gets the error without filter and notches."""
     config = controller_config(axis, model)
     seen = LawInput(
-        config.period_s, speed_rps, 0.0, speed_rps, 0.0, speed_rps, speed_rps, 0.0, 0.0, 0.0,
-        config.torque_constant_nm_per_a, config.current_limit_a, False,
-    )  # fmt: skip
+        config.period_s,
+        speed_rps,
+        0.0,
+        speed_rps,
+        0.0,
+        speed_rps,
+        speed_rps,
+        0.0,
+        0.0,
+        0.0,
+        config.torque_constant_nm_per_a,
+        config.current_limit_a,
+        False,
+    )
     loop = loop_axis(axis, model)._replace(error_filter_s=0.0, notches=(), estimator=None)
     return own_law_margins(law, loop, seen)
 

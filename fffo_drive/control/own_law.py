@@ -247,9 +247,14 @@ def own_law_rest(block: Floats) -> None:
 
 @njit
 def own_law_step(
-    block: Floats, config: ControllerConfig, state: ControllerState, reference: Reference, added_nm: float,
-    followed_rps: float, position_rev: float,
-) -> tuple[ControllerTerms, ControllerState]:  # fmt: skip
+    block: Floats,
+    config: ControllerConfig,
+    state: ControllerState,
+    reference: Reference,
+    added_nm: float,
+    followed_rps: float,
+    position_rev: float,
+) -> tuple[ControllerTerms, ControllerState]:
     """One period of the law, in place of `controller_step`; of its terms only error and command are known."""
     if block[RUNNING] == 0.0:
         block[RUNNING] = 1.0

@@ -255,14 +255,25 @@ def replay_into(
                 )
                 if own_law[USED] != 0.0:
                     terms, controller = own_law_step(
-                        own_law, config, controller, reference, effects_nm + adapted.torque_nm, estimate.followed_rps,
+                        own_law,
+                        config,
+                        controller,
+                        reference,
+                        effects_nm + adapted.torque_nm,
+                        estimate.followed_rps,
                         row["position_rev"],
-                    )  # fmt: skip
+                    )
                 else:
                     terms, controller = controller_step(
-                        config, controller, toggle, reference, row["velocity_rps"], effects_nm + adapted.torque_nm,
-                        estimate.followed_rps, row["position_rev"],
-                    )  # fmt: skip
+                        config,
+                        controller,
+                        toggle,
+                        reference,
+                        row["velocity_rps"],
+                        effects_nm + adapted.torque_nm,
+                        estimate.followed_rps,
+                        row["position_rev"],
+                    )
                 requested_a, limited = terms.command_a, terms.limited
                 out.terms[k, 0] = terms.error_rps
                 out.terms[k, 1] = terms.filtered_error_rps
@@ -379,7 +390,14 @@ class Replay:
         out = room_for(rows.size)
         if rows.size:
             self._memory = replay_into(
-                in_force, self._effects_memory, self._commands_a, self._own_law, self._memory, rows, parameters_at,
-                effects_at, out,
-            )  # fmt: skip
+                in_force,
+                self._effects_memory,
+                self._commands_a,
+                self._own_law,
+                self._memory,
+                rows,
+                parameters_at,
+                effects_at,
+                out,
+            )
         return out

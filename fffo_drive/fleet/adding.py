@@ -133,25 +133,30 @@ def add_runs(
     if torn:
         store.drop(torn)
     return Added(
-        len(places), fresh, tuple(runs), tuple(problems), tuple(skipped), tuple(crowds(dated_by_file)),
+        len(places),
+        fresh,
+        tuple(runs),
+        tuple(problems),
+        tuple(skipped),
+        tuple(crowds(dated_by_file)),
         len(changed_entries),
-    )  # fmt: skip
+    )
 
 
 def _with(given: Given, said: ManifestLine) -> Given:
     degc = given.temperature_degc if said.temperature_degc is None else said.temperature_degc
     return given._replace(
-        drive=said.serial or given.drive, model=said.model or given.model, start=said.start or given.start,
+        drive=said.serial or given.drive,
+        model=said.model or given.model,
+        start=said.start or given.start,
         temperature_degc=degc,
-    )  # fmt: skip
+    )
 
 
 def _said_of(path: str, given: Given) -> dict[str, Any]:
     """What is said of a run from outside. Raises DocumentError for a name without a date."""
     start = given.start or (time_in_name(path) if given.time_from == NAME else None)
-    said = {
-        "drive": given.drive, "model": given.model, "start": start, "temperature_degc": given.temperature_degc
-    }  # fmt: skip
+    said = {"drive": given.drive, "model": given.model, "start": start, "temperature_degc": given.temperature_degc}
     return {name: value for name, value in said.items() if value is not None}
 
 

@@ -289,9 +289,14 @@ class _Frame(NamedTuple):
         """Coordinates around a vector."""
         most_nm = math.inf if rising else self.most_static_nm  # there Fs is the level of high speeds
         base = coordinates(
-            physical[: len(PARAMETERS)], period_s, self.free, rising, most_nm, self.least_stiffness_per_rev,
+            physical[: len(PARAMETERS)],
+            period_s,
+            self.free,
+            rising,
+            most_nm,
+            self.least_stiffness_per_rev,
             self.most_viscous_nm_per_rps,
-        )  # fmt: skip
+        )
         return joint_coordinates(base, self.layout) if self.layout.parameters else base
 
 

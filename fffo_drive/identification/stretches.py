@@ -130,10 +130,15 @@ def motion_in(record: Record, rows: RowRange, begin_s: float, end_s: float) -> S
         return np.concatenate([part[::step].astype(np.float32) for part in parts] or [np.zeros(0, np.float32)])
 
     return StretchMotion(
-        rows, begin_s, end_s,
-        joined(one.velocity_rps for one in motions), joined(one.acceleration_rps2 for one in motions),
-        joined(one.position_rev for one in motions), step * record.period_s, record.lsb_rev,
-    )  # fmt: skip
+        rows,
+        begin_s,
+        end_s,
+        joined(one.velocity_rps for one in motions),
+        joined(one.acceleration_rps2 for one in motions),
+        joined(one.position_rev for one in motions),
+        step * record.period_s,
+        record.lsb_rev,
+    )
 
 
 def choose(path: Path, motions: Sequence[StretchMotion], samples: int) -> LogPart:

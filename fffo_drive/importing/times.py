@@ -115,9 +115,14 @@ class Times(Candidates):
             nice = [float(f"{per_second:.2g}"), 1e3 / round(1e3 / per_second) if per_second < 1e3 else per_second]
             per_second = next((one for one in nice if abs(per_second / one - 1.0) < NICE_RATE), per_second)
             self._take(
-                TIME_S, column, "-", 1.0 / per_second, f"{option.said}{per_second:.6g} Hz, {said}", True,
+                TIME_S,
+                column,
+                "-",
+                1.0 / per_second,
+                f"{option.said}{per_second:.6g} Hz, {said}",
+                True,
                 stamp_wrap_of(column.values),
-            )  # fmt: skip
+            )
             return
         steps = np.abs(np.diff(column.values[np.isfinite(column.values)]))
         rate_hz = 1.0 / (float(steps[steps < ROUNDED * np.median(steps)].mean()) * factor)

@@ -123,10 +123,15 @@ def simulate(
 
 
 def run(
-    axis: Axis | str | Path, out: str | Path | None = None, *, toggle: str | None = None,
-    profile: GivenProfile | None = None, bus: str | None = None, uncommissioned: bool = False,
+    axis: Axis | str | Path,
+    out: str | Path | None = None,
+    *,
+    toggle: str | None = None,
+    profile: GivenProfile | None = None,
+    bus: str | None = None,
+    uncommissioned: bool = False,
     controller: ControlLaw | None = None,
-) -> MeasuredRun:  # fmt: skip
+) -> MeasuredRun:
     """Run an axis file on its drive, simulated or on a bus, and record it. **A drive on a bus moves.**
 
     `out`: the recording (None: recording.directory of the axis file). `profile`: as for `simulate`. `bus` replaces the
@@ -201,9 +206,13 @@ def _several(runs: MeasuredRun | Sequence[MeasuredRun]) -> list[MeasuredRun]:
 
 
 def identify(
-    runs: MeasuredRun | Sequence[MeasuredRun], *, facts: DriveFacts | None = None, name: str = "model",
-    prior: str | Path | None = None, prior_model: str | None = None,
-) -> Identified:  # fmt: skip
+    runs: MeasuredRun | Sequence[MeasuredRun],
+    *,
+    facts: DriveFacts | None = None,
+    name: str = "model",
+    prior: str | Path | None = None,
+    prior_model: str | None = None,
+) -> Identified:
     """Fit inertia, delay and 2SEP friction to runs of one axis. `.model` can be written, run and tuned.
 
     `prior`: a store of `fffo-drive fleet`, or a population file: what the runs do not determine then comes from other
@@ -217,9 +226,12 @@ def identify(
 
 
 def _prior(
-    prior: str | Path | None, runs: Sequence[MeasuredRun], records: Sequence[Record], facts: DriveFacts,
+    prior: str | Path | None,
+    runs: Sequence[MeasuredRun],
+    records: Sequence[Record],
+    facts: DriveFacts,
     model: str | None,
-) -> AgainstPopulation | None:  # fmt: skip
+) -> AgainstPopulation | None:
     if prior is None:
         return None
     try:
@@ -238,10 +250,15 @@ def _prior(
 
 
 def tune(
-    model: ModelFile, *, axis: Axis | None = None, rate_hz: float = 2000.0, bandwidth_hz: float | None = None,
-    phase_margin_deg: float = Wish().phase_margin_deg, gain_margin: float = Wish().gain_margin,
+    model: ModelFile,
+    *,
+    axis: Axis | None = None,
+    rate_hz: float = 2000.0,
+    bandwidth_hz: float | None = None,
+    phase_margin_deg: float = Wish().phase_margin_deg,
+    gain_margin: float = Wish().gain_margin,
     inertia_range_kg_m2: tuple[float, float] | None = None,
-) -> Tuned:  # fmt: skip
+) -> Tuned:
     """Choose the gains with the largest integral action within the margins (deg, factor).
 
     `bandwidth_hz`: target crossover frequency. `axis`: take the loop rate, the source of the velocity and what its
@@ -258,10 +275,15 @@ def tune(
 
 
 def diagnose(
-    runs: MeasuredRun | Sequence[MeasuredRun], held_out: MeasuredRun | Sequence[MeasuredRun] = (), *,
-    model: ModelFile | None = None, facts: DriveFacts | None = None, out: str | Path | None = None,
-    prior: str | Path | None = None, prior_model: str | None = None,
-) -> Diagnosis:  # fmt: skip
+    runs: MeasuredRun | Sequence[MeasuredRun],
+    held_out: MeasuredRun | Sequence[MeasuredRun] = (),
+    *,
+    model: ModelFile | None = None,
+    facts: DriveFacts | None = None,
+    out: str | Path | None = None,
+    prior: str | Path | None = None,
+    prior_model: str | None = None,
+) -> Diagnosis:
     """Find on `runs` what the model lacks, and test it on `held_out`.
 
     `model`: the base model (None: identified from the runs). `prior`, `prior_model`: as for `identify`, instead of
@@ -306,10 +328,14 @@ def adopt(
 
 
 def evaluate(
-    scenario: str | Path | None = None, *, runs: Sequence[MeasuredRun | str | Path] = (),
-    controllers: Sequence[str] | None = None, seeds: int | None = None, workers: int | None = None,
+    scenario: str | Path | None = None,
+    *,
+    runs: Sequence[MeasuredRun | str | Path] = (),
+    controllers: Sequence[str] | None = None,
+    seeds: int | None = None,
+    workers: int | None = None,
     laws: Sequence[ControlLaw] = (),
-) -> Summary:  # fmt: skip
+) -> Summary:
     """Compare controllers: `.figure("true.ise", "pi+fffo+")` in rps^2 s, and all others, with intervals over seeds.
 
     `scenario`: a scenario file, run on the simulated drive in process. `runs`: recordings instead. Those of one
@@ -333,9 +359,11 @@ def evaluate(
 
 
 def replay(
-    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], instead: str | Path | None = None, *,
+    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path],
+    instead: str | Path | None = None,
+    *,
     controller: ControlLaw | None = None,
-) -> ReplayReport:  # fmt: skip
+) -> ReplayReport:
     """Run recordings through the control law and the envelope again: `.exact` is true if every command is the same.
 
     The same means bit for bit. `instead`: an axis or model file whose law is run on the recorded feedback; the

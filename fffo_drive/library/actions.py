@@ -30,10 +30,17 @@ SIGNALS = tuple(ROLES.values())
 
 
 def commission(
-    axis: Axis | str | Path, out: str | Path | None = None, *, bus: str | None = None, current_a: float | None = None,
-    speed_rps: float | None = None, travel_rev: float | None = None, may_move: MayMove = lambda motion: True,
-    accept: bool = False, reset_fault: bool = False,
-) -> CommissioningRecord:  # fmt: skip
+    axis: Axis | str | Path,
+    out: str | Path | None = None,
+    *,
+    bus: str | None = None,
+    current_a: float | None = None,
+    speed_rps: float | None = None,
+    travel_rev: float | None = None,
+    may_move: MayMove = lambda motion: True,
+    accept: bool = False,
+    reset_fault: bool = False,
+) -> CommissioningRecord:
     """Check signs, scales, delay and limits of an axis with small pulses. **A drive on a bus moves.**
 
     `out`: the record (None: where the axis file says, else NAME.commissioning.yaml beside it). `bus` replaces the bus
@@ -52,11 +59,20 @@ def commission(
 
 
 def import_log(
-    logs: str | Path | Sequence[str | Path], out: str | Path, *, columns: Mapping[str, str | None] | None = None,
-    units: Mapping[str, str] | None = None, rate_hz: float | None = None, counts_per_turn: float | None = None,
-    linear: bool = False, joint: str | None = None, node: str | None = None, drop: bool = False,
-    facts: Mapping[str, Any] | None = None, accept_assumptions: bool = False,
-) -> Imported:  # fmt: skip
+    logs: str | Path | Sequence[str | Path],
+    out: str | Path,
+    *,
+    columns: Mapping[str, str | None] | None = None,
+    units: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
+    counts_per_turn: float | None = None,
+    linear: bool = False,
+    joint: str | None = None,
+    node: str | None = None,
+    drop: bool = False,
+    facts: Mapping[str, Any] | None = None,
+    accept_assumptions: bool = False,
+) -> Imported:
     """Convert logs of one axis to recordings in the directory `out`, with facts and a map of columns.
 
     `columns`: which column is a signal ({"position_rev": "theta", "current_a": None}; None: no column is). `units`: of
@@ -76,9 +92,16 @@ def import_log(
             raise DocumentError(f"{name}: {value:g}: a positive number is needed")
     declared = dict(facts or {})
     hints = Hints(
-        rate_hz, counts_per_turn, declared.get("pole_pairs"), drop, linear, roles,
-        importing.known_units(dict(units or {})), TraceDrive(node=node) if node is not None else None, joint,
-    )  # fmt: skip
+        rate_hz,
+        counts_per_turn,
+        declared.get("pole_pairs"),
+        drop,
+        linear,
+        roles,
+        importing.known_units(dict(units or {})),
+        TraceDrive(node=node) if node is not None else None,
+        joint,
+    )
     paths = [logs] if isinstance(logs, str | Path) else list(logs)
     try:
         found = importing.recognised_logs(paths, hints)
@@ -93,9 +116,16 @@ def import_log(
 
 
 def close_the_loop(
-    axis: Axis | str | Path, out: str | Path, *, facts: str | Path | None = None, sim: str | Path | None = None,
-    bus: str | None = None, rate_hz: int | None = None, quick: bool = False, uncommissioned: bool = False,
-) -> Closed:  # fmt: skip
+    axis: Axis | str | Path,
+    out: str | Path,
+    *,
+    facts: str | Path | None = None,
+    sim: str | Path | None = None,
+    bus: str | None = None,
+    rate_hz: int | None = None,
+    quick: bool = False,
+    uncommissioned: bool = False,
+) -> Closed:
     """Run, record, diagnose, adopt, and run again: the tracking error before and after. **A drive on a bus moves.**
 
     The axis file stays as it is; everything is written to the directory `out`, a new axis file among it. `facts`: what
@@ -112,9 +142,13 @@ def close_the_loop(
 
 
 def export(
-    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path], out: str | Path, *,
-    columns: Sequence[str] = (), from_s: float = 0.0, to_s: float = math.inf,
-) -> Exported:  # fmt: skip
+    runs: MeasuredRun | str | Path | Sequence[MeasuredRun | str | Path],
+    out: str | Path,
+    *,
+    columns: Sequence[str] = (),
+    from_s: float = 0.0,
+    to_s: float = math.inf,
+) -> Exported:
     """Write the rows of recordings as a table (.csv, .parquet) or a part of one as a recording (.mcap).
 
     `columns`: some of the signals (none: all). `from_s`, `to_s`: seconds since the first row. Raises RecordingError,

@@ -162,9 +162,14 @@ class MeasuredRun:
         if not series:
             return ""
         figure = Figure(
-            "velocity", "time", self.name, "velocity over time", TIME,
-            VELOCITY, series,
-        )  # fmt: skip
+            "velocity",
+            "time",
+            self.name,
+            "velocity over time",
+            TIME,
+            VELOCITY,
+            series,
+        )
         with tempfile.TemporaryDirectory() as directory:
             path = Path(directory) / "velocity.svg"
             write_figure(figure, path)
@@ -180,10 +185,15 @@ def read_axis(path: str | Path) -> Axis:
 
 
 def read_run(
-    source: Source, *, facts: DriveFacts | str | Path | None = None, torque_constant_nm_per_a: float | None = None,
-    name: str | None = None, columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None,
+    source: Source,
+    *,
+    facts: DriveFacts | str | Path | None = None,
+    torque_constant_nm_per_a: float | None = None,
+    name: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
     rate_hz: float | None = None,
-) -> MeasuredRun:  # fmt: skip
+) -> MeasuredRun:
     """Read a run: a recording (.mcap), a log of any kind (CSV, MAT, NPZ ...), arrays (n,) by name, or a data frame.
 
     A file whose columns and units leave a doubt is an error that says which `fffo-drive import` line answers it. Arrays
@@ -234,10 +244,15 @@ def read_run(
         warnings.warn(recording.reason, stacklevel=2)
     own_loop = "profile_sample" in recording.columns
     return MeasuredRun(
-        name or path.name, dict(recording.columns), declared, path, None,
-        np.asarray(recording.rows) if own_loop else None, recording.profile_samples if own_loop else None,
+        name or path.name,
+        dict(recording.columns),
+        declared,
+        path,
+        None,
+        np.asarray(recording.rows) if own_loop else None,
+        recording.profile_samples if own_loop else None,
         None if recording.complete else recording.reason,
-    )  # fmt: skip
+    )
 
 
 def _arrays_of(source: Any) -> dict[str, Any]:

@@ -356,9 +356,14 @@ def law_step(
     elif blocks.own_law[USED] != 0.0:
         mode = MODE_VELOCITY
         terms, controller = own_law_step(
-            blocks.own_law, config, controller, reference, effects_nm + adapted.torque_nm, estimate.followed_rps,
+            blocks.own_law,
+            config,
+            controller,
+            reference,
+            effects_nm + adapted.torque_nm,
+            estimate.followed_rps,
             feedback["position_rev"],
-        )  # fmt: skip
+        )
     else:
         mode = MODE_VELOCITY
         terms, controller = controller_step(

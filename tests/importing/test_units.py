@@ -54,12 +54,24 @@ def test_a_turn_in_units_of_angle():
 @pytest.mark.parametrize(
     ("heading", "unit"),
     [
-        ("Drehzahl in 1/min", "rpm"), ("Winkel in °", "deg"), ("istdrehzahl_min-1", "rpm"), ("lage_grad", "deg"),
-        ("Velocità_rpm", "rpm"), ("pos_um", "um"), ("force_N", "N"), ("cur_A", "A"), ("Stromistwert [Aeff]", "A"),
-        ("mA", "mA"), ("Nm", "Nm"), ("Corriente_motor_a", "A"), ("tick", None), ("min", None), ("A", None),
+        ("Drehzahl in 1/min", "rpm"),
+        ("Winkel in °", "deg"),
+        ("istdrehzahl_min-1", "rpm"),
+        ("lage_grad", "deg"),
+        ("Velocità_rpm", "rpm"),
+        ("pos_um", "um"),
+        ("force_N", "N"),
+        ("cur_A", "A"),
+        ("Stromistwert [Aeff]", "A"),
+        ("mA", "mA"),
+        ("Nm", "Nm"),
+        ("Corriente_motor_a", "A"),
+        ("tick", None),
+        ("min", None),
+        ("A", None),
         ("phase_n", None),
     ],
-)  # fmt: skip
+)
 def test_units_as_headings_end_in_them(heading, unit):
     assert split_name(heading)[1] == unit
 

@@ -49,10 +49,15 @@ PARSE = "import sys; from pyarrow import csv; csv.read_csv(sys.argv[1])"
 
 
 MAGICS = {  # of the kinds of files that damaged ones claim to be
-    "npz": b"PK\x03\x04", "parquet": b"PAR1", "mat": b"MATLAB 5.0 MAT-file", "mcap": b"\x89MCAP0\r\n",
-    "blf": b"LOGG", "trc": b";$FILEVERSION=2.0\n", "asc": b"date Sun Nov 29 2026\nbase hex timestamps absolute\n",
+    "npz": b"PK\x03\x04",
+    "parquet": b"PAR1",
+    "mat": b"MATLAB 5.0 MAT-file",
+    "mcap": b"\x89MCAP0\r\n",
+    "blf": b"LOGG",
+    "trc": b";$FILEVERSION=2.0\n",
+    "asc": b"date Sun Nov 29 2026\nbase hex timestamps absolute\n",
     "json": b"[",
-}  # fmt: skip
+}
 
 
 class Published(NamedTuple):

@@ -30,8 +30,16 @@ SPEED = {"rps": 1.0, "rpm": 60.0, "rad/s": 2.0 * np.pi, "deg/s": 360.0}
 SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6}
 AMPERE = {"A": 1.0, "mA": 1e3}
 TORQUE = {"Nm": TORQUE_CONSTANT_NM_PER_A, "mNm": 1e3 * TORQUE_CONSTANT_NM_PER_A}
-SIZES = {"time": SECOND, "position": TURN, "velocity": SPEED, "reference": SPEED, "setpoint": TURN, "command": AMPERE,
-         "current": AMPERE, "torque": TORQUE}  # fmt: skip
+SIZES = {
+    "time": SECOND,
+    "position": TURN,
+    "velocity": SPEED,
+    "reference": SPEED,
+    "setpoint": TURN,
+    "command": AMPERE,
+    "current": AMPERE,
+    "torque": TORQUE,
+}
 
 SIGNALS = {
     "position": ("position_rev",),
@@ -85,16 +93,41 @@ LANGUAGES = {
         "current": ("Corriente", "Corriente actual", "Corriente medida", "Corriente motor"),
         "reference": ("Consigna de velocidad", "Velocidad de referencia"),
     },
-}  # fmt: skip
+}
 UNIT_WORDS = {  # as people write them
-    "s": ("s", "sec"), "ms": ("ms", "msec"), "us": ("us", "µs"), "rev": ("rev", "turns", "U"), "rad": ("rad",),
-    "deg": ("deg", "°", "degrees"), "counts": ("counts", "inc", "cnt"), "rps": ("rps", "rev/s", "U/s", "1/s"),
-    "rpm": ("rpm", "1/min", "U/min", "min-1"), "rad/s": ("rad/s", "rad/sec"), "deg/s": ("deg/s", "°/s"),
-    "A": ("A", "Amps"), "mA": ("mA",), "Nm": ("Nm", "N.m"), "mNm": ("mNm",),
-}  # fmt: skip
-SUFFIXES = {"s": "s", "ms": "ms", "us": "us", "rev": "rev", "rad": "rad", "deg": "deg", "counts": "counts",
-            "rps": "rps", "rpm": "rpm", "rad/s": "radps", "deg/s": "deg_s", "A": "a", "mA": "ma", "Nm": "nm",
-            "mNm": "mnm"}  # fmt: skip
+    "s": ("s", "sec"),
+    "ms": ("ms", "msec"),
+    "us": ("us", "µs"),
+    "rev": ("rev", "turns", "U"),
+    "rad": ("rad",),
+    "deg": ("deg", "°", "degrees"),
+    "counts": ("counts", "inc", "cnt"),
+    "rps": ("rps", "rev/s", "U/s", "1/s"),
+    "rpm": ("rpm", "1/min", "U/min", "min-1"),
+    "rad/s": ("rad/s", "rad/sec"),
+    "deg/s": ("deg/s", "°/s"),
+    "A": ("A", "Amps"),
+    "mA": ("mA",),
+    "Nm": ("Nm", "N.m"),
+    "mNm": ("mNm",),
+}
+SUFFIXES = {
+    "s": "s",
+    "ms": "ms",
+    "us": "us",
+    "rev": "rev",
+    "rad": "rad",
+    "deg": "deg",
+    "counts": "counts",
+    "rps": "rps",
+    "rpm": "rpm",
+    "rad/s": "radps",
+    "deg/s": "deg_s",
+    "A": "a",
+    "mA": "ma",
+    "Nm": "nm",
+    "mNm": "mnm",
+}
 
 
 class Program(NamedTuple):
@@ -107,90 +140,213 @@ class Program(NamedTuple):
 
 PROGRAMS = {
     "VESC Tool": Program(
-        {"time": ("ms_today", "ms"), "position": ("encoder_position", "deg"), "velocity": ("erpm", "erpm"),
-         "current": ("current_motor", "A")},
-        {"input_voltage": "supply", "temp_mos_max": "warm", "temp_motor": "temperature", "current_in": "supply",
-         "d_axis_current": "direct", "q_axis_current": "of current", "duty_cycle": "duty", "tachometer_value": "count",
-         "battery_level": "share", "fault_code": "zero"}, ";"),
+        {
+            "time": ("ms_today", "ms"),
+            "position": ("encoder_position", "deg"),
+            "velocity": ("erpm", "erpm"),
+            "current": ("current_motor", "A"),
+        },
+        {
+            "input_voltage": "supply",
+            "temp_mos_max": "warm",
+            "temp_motor": "temperature",
+            "current_in": "supply",
+            "d_axis_current": "direct",
+            "q_axis_current": "of current",
+            "duty_cycle": "duty",
+            "tachometer_value": "count",
+            "battery_level": "share",
+            "fault_code": "zero",
+        },
+        ";",
+    ),
     "ODrive": Program(
-        {"time": ("timestamp", "s"), "position": ("axis0.encoder.pos_estimate", "rev"),
-         "velocity": ("axis0.encoder.vel_estimate", "rps"),
-         "command": ("axis0.motor.current_control.Iq_setpoint", "A"),
-         "current": ("axis0.motor.current_control.Iq_measured", "A")},
-        {"vbus_voltage": "supply", "axis0.motor.current_control.Id_measured": "direct"}),
+        {
+            "time": ("timestamp", "s"),
+            "position": ("axis0.encoder.pos_estimate", "rev"),
+            "velocity": ("axis0.encoder.vel_estimate", "rps"),
+            "command": ("axis0.motor.current_control.Iq_setpoint", "A"),
+            "current": ("axis0.motor.current_control.Iq_measured", "A"),
+        },
+        {"vbus_voltage": "supply", "axis0.motor.current_control.Id_measured": "direct"},
+    ),
     "ODrive Pro": Program(
-        {"time": ("time", "s"), "position": ("pos_estimate", "rev"), "velocity": ("vel_estimate", "rps"),
-         "current": ("Iq_measured", "A"), "setpoint": ("input_pos", "rev")}, {"ibus": "supply"}),
+        {
+            "time": ("time", "s"),
+            "position": ("pos_estimate", "rev"),
+            "velocity": ("vel_estimate", "rps"),
+            "current": ("Iq_measured", "A"),
+            "setpoint": ("input_pos", "rev"),
+        },
+        {"ibus": "supply"},
+    ),
     "moteus": Program(
-        {"time": ("timestamp", "s"), "position": ("position", "rev"), "velocity": ("velocity", "rps"),
-         "torque": ("torque", "Nm")},
-        {"mode": "ten", "q_current": "of current", "d_current": "direct", "voltage": "supply",
-         "temperature": "temperature", "fault": "zero"}),
+        {
+            "time": ("timestamp", "s"),
+            "position": ("position", "rev"),
+            "velocity": ("velocity", "rps"),
+            "torque": ("torque", "Nm"),
+        },
+        {
+            "mode": "ten",
+            "q_current": "of current",
+            "d_current": "direct",
+            "voltage": "supply",
+            "temperature": "temperature",
+            "fault": "zero",
+        },
+    ),
     "moteus tview": Program(
-        {"time": ("timestamp", "s"), "position": ("servo_stats.position", "rev"),
-         "velocity": ("servo_stats.velocity", "rps"), "torque": ("servo_stats.torque_Nm", "Nm"),
-         "setpoint": ("servo_stats.control_position", "rev")},
-        {"servo_stats.fet_temp_C": "warm", "servo_stats.bus_V": "supply", "servo_stats.d_A": "direct"}),
+        {
+            "time": ("timestamp", "s"),
+            "position": ("servo_stats.position", "rev"),
+            "velocity": ("servo_stats.velocity", "rps"),
+            "torque": ("servo_stats.torque_Nm", "Nm"),
+            "setpoint": ("servo_stats.control_position", "rev"),
+        },
+        {"servo_stats.fet_temp_C": "warm", "servo_stats.bus_V": "supply", "servo_stats.d_A": "direct"},
+    ),
     "Dynamixel": Program(
-        {"time": ("time_ms", "ms"), "position": ("present_position", "counts"),
-         "velocity": ("present_velocity_rpm", "rpm"),
-         "current": ("present_current_mA", "mA"), "setpoint": ("goal_position", "counts")},
-        {"present_temperature": "temperature", "present_input_voltage": "supply", "moving": "flag"}),
+        {
+            "time": ("time_ms", "ms"),
+            "position": ("present_position", "counts"),
+            "velocity": ("present_velocity_rpm", "rpm"),
+            "current": ("present_current_mA", "mA"),
+            "setpoint": ("goal_position", "counts"),
+        },
+        {"present_temperature": "temperature", "present_input_voltage": "supply", "moving": "flag"},
+    ),
     "EPOS Studio": Program(
-        {"time": ("Time [ms]", "ms"), "position": ("Position actual value [inc]", "counts"),
-         "velocity": ("Velocity actual value averaged [rpm]", "rpm"),
-         "command": ("Current demand value [mA]", "mA"), "current": ("Current actual value [mA]", "mA")},
-        {"Statusword": "ten"}, ";"),
+        {
+            "time": ("Time [ms]", "ms"),
+            "position": ("Position actual value [inc]", "counts"),
+            "velocity": ("Velocity actual value averaged [rpm]", "rpm"),
+            "command": ("Current demand value [mA]", "mA"),
+            "current": ("Current actual value [mA]", "mA"),
+        },
+        {"Statusword": "ten"},
+        ";",
+    ),
     "TwinCAT": Program(
-        {"time": ("Time [ms]", "ms"), "position": ("Axis1.NcToPlc.ActPos [°]", "deg"),
-         "velocity": ("Axis1.NcToPlc.ActVelo [°/s]", "deg/s"), "reference": ("Axis1.NcToPlc.SetVelo [°/s]", "deg/s"),
-         "current": ("Drive.TorqueFeedback [Nm]", "Nm")}, {"Axis1.NcToPlc.PosDiff": "small"}, "\t"),
+        {
+            "time": ("Time [ms]", "ms"),
+            "position": ("Axis1.NcToPlc.ActPos [°]", "deg"),
+            "velocity": ("Axis1.NcToPlc.ActVelo [°/s]", "deg/s"),
+            "reference": ("Axis1.NcToPlc.SetVelo [°/s]", "deg/s"),
+            "current": ("Drive.TorqueFeedback [Nm]", "Nm"),
+        },
+        {"Axis1.NcToPlc.PosDiff": "small"},
+        "\t",
+    ),
     "Elmo": Program(
-        {"time": ("Time (s)", "s"), "position": ("Position [cnt]", "counts"), "velocity": ("Velocity [rpm]", "rpm"),
-         "command": ("Current Command [A]", "A"), "current": ("Active Current [A]", "A")},
-        {"Reactive Current [A]": "direct", "Bus Voltage [V]": "supply"}),
+        {
+            "time": ("Time (s)", "s"),
+            "position": ("Position [cnt]", "counts"),
+            "velocity": ("Velocity [rpm]", "rpm"),
+            "command": ("Current Command [A]", "A"),
+            "current": ("Active Current [A]", "A"),
+        },
+        {"Reactive Current [A]": "direct", "Bus Voltage [V]": "supply"},
+    ),
     "ros2 joint_states": Program(
-        {"time": ("/joint_states/header/stamp", "s"), "position": ("/joint_states/position[0]", "rad"),
-         "velocity": ("/joint_states/velocity[0]", "rad/s"), "torque": ("/joint_states/effort[0]", "Nm")}),
+        {
+            "time": ("/joint_states/header/stamp", "s"),
+            "position": ("/joint_states/position[0]", "rad"),
+            "velocity": ("/joint_states/velocity[0]", "rad/s"),
+            "torque": ("/joint_states/effort[0]", "Nm"),
+        }
+    ),
     "PlotJuggler": Program(
-        {"time": ("__time", "s"), "position": ("/joint_states/elbow/position", "rad"),
-         "velocity": ("/joint_states/elbow/velocity", "rad/s"), "torque": ("/joint_states/elbow/effort", "Nm")}),
+        {
+            "time": ("__time", "s"),
+            "position": ("/joint_states/elbow/position", "rad"),
+            "velocity": ("/joint_states/elbow/velocity", "rad/s"),
+            "torque": ("/joint_states/elbow/effort", "Nm"),
+        }
+    ),
     "mujoco": Program(
-        {"time": ("time", "s"), "position": ("qpos", "rad"), "velocity": ("qvel", "rad/s"),
-         "torque": ("qfrc_actuator", "Nm")}, {"qacc": "acceleration"}),
+        {
+            "time": ("time", "s"),
+            "position": ("qpos", "rad"),
+            "velocity": ("qvel", "rad/s"),
+            "torque": ("qfrc_actuator", "Nm"),
+        },
+        {"qacc": "acceleration"},
+    ),
     "BAM": Program(
-        {"time": ("timestamp", "s"), "position": ("position", "rad"), "velocity": ("speed", "rad/s"),
-         "torque": ("torque", "Nm"), "setpoint": ("goal_position", "rad")},
-        {"input_volts": "supply", "temp": "temperature"}),
+        {
+            "time": ("timestamp", "s"),
+            "position": ("position", "rad"),
+            "velocity": ("speed", "rad/s"),
+            "torque": ("torque", "Nm"),
+            "setpoint": ("goal_position", "rad"),
+        },
+        {"input_volts": "supply", "temp": "temperature"},
+    ),
     "SimpleFOC": Program(
-        {"time": ("time_us", "us"), "velocity": ("velocity_rad_s", "rad/s"), "position": ("angle_rad", "rad"),
-         "current": ("current_q_mA", "mA"), "reference": ("target_rad_s", "rad/s")}, {"voltage_q": "of voltage"}, "\t"),
+        {
+            "time": ("time_us", "us"),
+            "velocity": ("velocity_rad_s", "rad/s"),
+            "position": ("angle_rad", "rad"),
+            "current": ("current_q_mA", "mA"),
+            "reference": ("target_rad_s", "rad/s"),
+        },
+        {"voltage_q": "of voltage"},
+        "\t",
+    ),
     "Ingenia": Program(
-        {"time": ("Time (s)", "s"), "position": ("CL_POS_FBK_VALUE (counts)", "counts"),
-         "velocity": ("CL_VEL_FBK_VALUE (rev/s)", "rps"), "command": ("CL_CUR_Q_REF_VALUE (A)", "A"),
-         "current": ("CL_CUR_Q_VALUE (A)", "A")}, {"CL_CUR_D_VALUE (A)": "direct"}),
+        {
+            "time": ("Time (s)", "s"),
+            "position": ("CL_POS_FBK_VALUE (counts)", "counts"),
+            "velocity": ("CL_VEL_FBK_VALUE (rev/s)", "rps"),
+            "command": ("CL_CUR_Q_REF_VALUE (A)", "A"),
+            "current": ("CL_CUR_Q_VALUE (A)", "A"),
+        },
+        {"CL_CUR_D_VALUE (A)": "direct"},
+    ),
     "Sinamics": Program(
-        {"time": ("Zeit [ms]", "ms"), "velocity": ("r61[0] Drehzahlistwert [1/min]", "rpm"),
-         "reference": ("r62 Drehzahlsollwert nach Filter [1/min]", "rpm"),
-         "command": ("r77 Stromsollwert momentenbildend [A]", "A"),
-         "current": ("r78[1] Stromistwert momentenbildend [A]", "A")},
-        {"r70 Zwischenkreisspannung Istwert [V]": "supply"}, ";"),
+        {
+            "time": ("Zeit [ms]", "ms"),
+            "velocity": ("r61[0] Drehzahlistwert [1/min]", "rpm"),
+            "reference": ("r62 Drehzahlsollwert nach Filter [1/min]", "rpm"),
+            "command": ("r77 Stromsollwert momentenbildend [A]", "A"),
+            "current": ("r78[1] Stromistwert momentenbildend [A]", "A"),
+        },
+        {"r70 Zwischenkreisspannung Istwert [V]": "supply"},
+        ";",
+    ),
     "LinuxCNC halscope": Program(
-        {"time": ("time", "s"), "position": ("joint.0.motor-pos-fb [deg]", "deg"),
-         "velocity": ("joint.0.vel-fb [deg/s]", "deg/s"),
-         "setpoint": ("joint.0.motor-pos-cmd [deg]", "deg"), "command": ("joint.0.current-cmd [A]", "A")},
-        {"joint.0.f-error": "small"}),
+        {
+            "time": ("time", "s"),
+            "position": ("joint.0.motor-pos-fb [deg]", "deg"),
+            "velocity": ("joint.0.vel-fb [deg/s]", "deg/s"),
+            "setpoint": ("joint.0.motor-pos-cmd [deg]", "deg"),
+            "command": ("joint.0.current-cmd [A]", "A"),
+        },
+        {"joint.0.f-error": "small"},
+    ),
     "Kollmorgen": Program(
-        {"time": ("Time (ms)", "ms"), "position": ("PL.FB (deg)", "deg"), "velocity": ("VL.FB (rpm)", "rpm"),
-         "reference": ("VL.CMD (rpm)", "rpm"), "command": ("IL.CMD (A)", "A"), "current": ("IL.FB (A)", "A")}),
-}  # fmt: skip
+        {
+            "time": ("Time (ms)", "ms"),
+            "position": ("PL.FB (deg)", "deg"),
+            "velocity": ("VL.FB (rpm)", "rpm"),
+            "reference": ("VL.CMD (rpm)", "rpm"),
+            "command": ("IL.CMD (A)", "A"),
+            "current": ("IL.FB (A)", "A"),
+        }
+    ),
+}
 
 WRONG = {  # what a heading says -> what is in the column
-    "rad called deg": ("position", "deg", "rad"), "turns called rad": ("position", "rad", "rev"),
-    "rps called rad/s": ("velocity", "rad/s", "rps"), "rad/s called rpm": ("velocity", "rpm", "rad/s"),
-    "s called ms": ("time", "ms", "s"), "ms called s": ("time", "s", "ms"),
-    "ten times": ("velocity", "rpm", "tenths"), "angle of the output": ("position", "deg", "geared"),
-}  # fmt: skip
+    "rad called deg": ("position", "deg", "rad"),
+    "turns called rad": ("position", "rad", "rev"),
+    "rps called rad/s": ("velocity", "rad/s", "rps"),
+    "rad/s called rpm": ("velocity", "rpm", "rad/s"),
+    "s called ms": ("time", "ms", "s"),
+    "ms called s": ("time", "s", "ms"),
+    "ten times": ("velocity", "rpm", "tenths"),
+    "angle of the output": ("position", "deg", "geared"),
+}
 GEAR, TENTHS, POLE_PAIRS = 50.0, 10.0, 7
 COUNTERS = ("index", "Sample", "n", "#", "No.", "row", "cycle", "tick")
 RESTARTS = ("time", "heading")
@@ -212,12 +368,16 @@ OTHERS = (
 HEADINGS = {
     "supply": ("Supply voltage [V]", "DC link voltage [V]", "bus_voltage"),
     "warm": ("Board temperature [°C]", "temp_fet"),
-    "temperature": ("Motor temperature [°C]", "motor temp [C]"), "direct": ("Id [A]", "d-axis current [A]"),
-    "predicted": ("torque_model [Nm]", "predicted torque [Nm]"), "count": ("cycle", "Counter"),
-    "small": ("Following error [deg]", "position error"), "flag": ("enabled", "in_position"),
+    "temperature": ("Motor temperature [°C]", "motor temp [C]"),
+    "direct": ("Id [A]", "d-axis current [A]"),
+    "predicted": ("torque_model [Nm]", "predicted torque [Nm]"),
+    "count": ("cycle", "Counter"),
+    "small": ("Following error [deg]", "position error"),
+    "flag": ("enabled", "in_position"),
     "zero": ("error code", "fault"),
-    "text": ("state", "mode name"), "acceleration": ("Acceleration [rad/s^2]", "acc [rad/s2]"),
-}  # fmt: skip
+    "text": ("state", "mode name"),
+    "acceleration": ("Acceleration [rad/s^2]", "acc [rad/s2]"),
+}
 
 
 @dataclass
@@ -267,10 +427,15 @@ def motion(rng: np.random.Generator, rate_hz: float, seconds: float) -> dict[str
     noise = rng.uniform(0.01, 0.05) * float(np.std(wanted))
     current = wanted + noise * rng.standard_normal(rows)
     return {
-        "time": time_s, "position": position, "velocity": velocity, "reference": reference,
+        "time": time_s,
+        "position": position,
+        "velocity": velocity,
+        "reference": reference,
         "setpoint": np.concatenate([[position[0]], position[0] + np.cumsum(reference[1:]) / rate_hz]),
-        "command": wanted, "current": current, "acceleration": acceleration,
-    }  # fmt: skip
+        "command": wanted,
+        "current": current,
+        "acceleration": acceleration,
+    }
 
 
 def in_unit(role: str, values: Floats, unit: str) -> Floats:
@@ -292,18 +457,26 @@ def other(kind: str, run: dict[str, Floats], rng: np.random.Generator) -> Floats
     noise = rng.standard_normal(rows)
     velocity, current = run["velocity"], run["current"]
     made: dict[str, Callable[[], Floats | list[str]]] = {
-        "supply": lambda: 24.0 + 0.05 * noise - 0.02 * np.abs(current), "warm": lambda: 41.0 + 2e-4 * np.arange(rows),
+        "supply": lambda: 24.0 + 0.05 * noise - 0.02 * np.abs(current),
+        "warm": lambda: 41.0 + 2e-4 * np.arange(rows),
         "temperature": lambda: np.round(30.0 + 5.0 * (1.0 - np.exp(-run["time"] / 20.0)), 1),
         "direct": lambda: 0.03 * noise,
-        "predicted": lambda: TORQUE_CONSTANT_NM_PER_A
-        * (INERTIA * run["acceleration"] + COULOMB * np.tanh(velocity / 0.05) + VISCOUS * velocity),
-        "count": lambda: np.arange(rows, dtype=float), "small": lambda: 1e-3 * noise + 1e-3 * velocity,
-        "flag": lambda: np.ones(rows), "zero": lambda: np.zeros(rows), "text": lambda: ["RUN"] * rows,
-        "ten": lambda: np.full(rows, 10.0), "share": lambda: 0.9 - 1e-5 * np.arange(rows),
-        "duty": lambda: velocity / 40.0 + 0.01 * noise, "of current": lambda: current + 0.05 * noise,
+        "predicted": lambda: (
+            TORQUE_CONSTANT_NM_PER_A
+            * (INERTIA * run["acceleration"] + COULOMB * np.tanh(velocity / 0.05) + VISCOUS * velocity)
+        ),
+        "count": lambda: np.arange(rows, dtype=float),
+        "small": lambda: 1e-3 * noise + 1e-3 * velocity,
+        "flag": lambda: np.ones(rows),
+        "zero": lambda: np.zeros(rows),
+        "text": lambda: ["RUN"] * rows,
+        "ten": lambda: np.full(rows, 10.0),
+        "share": lambda: 0.9 - 1e-5 * np.arange(rows),
+        "duty": lambda: velocity / 40.0 + 0.01 * noise,
+        "of current": lambda: current + 0.05 * noise,
         "of voltage": lambda: 1.2 * current + 0.3 * velocity + 0.02 * noise,
         "acceleration": lambda: 2.0 * np.pi * run["acceleration"],
-    }  # fmt: skip
+    }
     return made[kind]()
 
 
@@ -325,8 +498,13 @@ def _generic(rng: np.random.Generator) -> tuple[str, dict[str, tuple[str, str]],
     if rng.random() < 0.4:
         roles.append("reference")
     speed = _pick(rng, SPEED)
-    units = {"time": _pick(rng, SECOND), "position": _pick(rng, TURN), "velocity": speed, "reference": speed,
-             "command": _pick(rng, AMPERE)}  # fmt: skip
+    units = {
+        "time": _pick(rng, SECOND),
+        "position": _pick(rng, TURN),
+        "velocity": speed,
+        "reference": speed,
+        "command": _pick(rng, AMPERE),
+    }
     units["current"] = units["command"]
     way = _pick(rng, ["[]", "[]", "()", "suffix", "row", "/"])
     return language, {role: (_pick(rng, words[role]), units[role]) for role in roles}, way
@@ -415,9 +593,15 @@ def _heading(name: str, unit: str, way: str, rng: np.random.Generator) -> str:
 
 
 def _table(
-    run: dict[str, Floats], columns: dict[str, tuple[str, str]], others: dict[str, str], order: list[str], clock: str,
-    register: str, wraps: bool, rng: np.random.Generator,
-) -> list[tuple[str, ...]]:  # fmt: skip
+    run: dict[str, Floats],
+    columns: dict[str, tuple[str, str]],
+    others: dict[str, str],
+    order: list[str],
+    clock: str,
+    register: str,
+    wraps: bool,
+    rng: np.random.Generator,
+) -> list[tuple[str, ...]]:
     cells: list[list[str]] = []
     for one in order:
         if one == "time":
@@ -486,9 +670,15 @@ def wrong_in(one: Case, readings: list[Reading], name_of: Callable[[str], str]) 
             role = roles.get(heading, "?")
             able = SIGNALS.get(role, ())
             of_current = signal in ("current_a", "current_command_a")
-            near = of_current and role in ("current", "command", "torque", "of current") and not (
-                {"current", "command"} <= set(roles.values()) and role == "current" and signal == "current_command_a"
-            )  # fmt: skip
+            near = (
+                of_current
+                and role in ("current", "command", "torque", "of current")
+                and not (
+                    {"current", "command"} <= set(roles.values())
+                    and role == "current"
+                    and signal == "current_command_a"
+                )
+            )
             if signal != "time_s" and signal not in able and not near:
                 found.append(f"{signal} is {heading!r} ({role})")
         found += _scales(run, reading)
@@ -504,8 +694,13 @@ def _scales(run: dict[str, Floats], reading: Reading) -> list[str]:
         found.append(f"time: {rate:.4g} times the period, {time_s[-1]:.3g} of {run['time'][-1]:.3g} s")
         return found
     torque = TORQUE_CONSTANT_NM_PER_A if reading.torque_unit in ("Nm", "N") else 1.0
-    truth = {"position_rev": run["position"], "velocity_rps": run["velocity"], "reference_rps": run["reference"],
-             "current_a": torque * run["current"], "current_command_a": torque * run["command"]}  # fmt: skip
+    truth = {
+        "position_rev": run["position"],
+        "velocity_rps": run["velocity"],
+        "reference_rps": run["reference"],
+        "current_a": torque * run["current"],
+        "current_command_a": torque * run["command"],
+    }
     signs = {}
     for signal, own in truth.items():
         if signal not in reading.read:

@@ -59,10 +59,15 @@ def axes(seed: int) -> list[Axis]:
         change = CHANGES[number // 2] if number % 2 == 1 else NONE
         found.append(
             Axis(
-                number, change, int(draw.integers(16, 28)), 0.03 * about[0], 3.5e-3 * about[1], 1.2e-3 * about[2],
+                number,
+                change,
+                int(draw.integers(16, 28)),
+                0.03 * about[0],
+                3.5e-3 * about[1],
+                1.2e-3 * about[2],
                 2e-3 * draw.standard_normal(),
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -136,10 +141,14 @@ def write_run(path: Path, axis: Axis, week: int, run: Week, seed: int) -> None:
     coulomb = axis.coulomb_nm * grown[COULOMB] * (1.0 + COULOMB_PER_K * (run.degc - 25.0))
     noise = 0.02 * np.random.default_rng([seed, axis.number, 4, week]).standard_normal(round(RUN_S * RATE_HZ))
     rows = _run(
-        programme(axis, week, seed), axis.inertia_nm_s2_per_rev * grown[INERTIA], coulomb, 0.5 * coulomb,
+        programme(axis, week, seed),
+        axis.inertia_nm_s2_per_rev * grown[INERTIA],
+        coulomb,
+        0.5 * coulomb,
         axis.viscous_nm_per_rps * grown[VISCOUS] * cold,
-        axis.offset_nm + (share * axis.coulomb_nm if axis.change == OFFSET else 0.0), noise,
-    )  # fmt: skip
+        axis.offset_nm + (share * axis.coulomb_nm if axis.change == OFFSET else 0.0),
+        noise,
+    )
     time_s = np.arange(len(rows)) / RATE_HZ
     table = np.column_stack([time_s, rows])
     names = "time_s,position_rev,velocity_rps,current_command_a"
